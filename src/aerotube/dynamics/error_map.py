@@ -1,0 +1,204 @@
+r"""The error map of a beat: how an error at its start becomes an error at its end (Eq. 2 and 11).
+
+.. math:: x^+ = \Phi(\bar s_t \boxplus x,\ \bar a_t + \hat a,\ \sigma) \boxminus \bar s_{t+1}
+
+with :math:`\Phi` one Runge-Kutta step and :math:`\boxplus, \boxminus` the error coordinates. The increment
+:math:`\hat a` is one of the aircraft's virtual controls. Three views of the same map: its values at any points,
+its linearisation, and its Taylor polynomial.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerotube.aircraft.base import Aircraft
+from aerotube.dynamics.errors import ErrorCoordinates
+from aerotube.dynamics.step import step, step_components
+
+if TYPE_CHECKING:
+    from aerotube.nominal import Nominal
+    from aerotube.numerics.taylor import TaylorSpace
+
+Array = NDArray[np.float64]
+
+
+def error_map(
+    aircraft: Aircraft,
+    nominal: Nominal,
+    beats: Sequence[int] | NDArray[np.intp],
+    coordinates: ErrorCoordinates,
+    error: Array,
+    increment: Array | None = None,
+    parameters: Array | None = None,
+) -> Array:
+    """Errors at the end of beats, from errors at their start.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+    nominal : Nominal
+    beats : sequence of int, length b
+        Indices of beats, ``0 <= beat < nominal.beats``.
+    coordinates : ErrorCoordinates
+    error : ndarray (b, ..., 8)
+        Errors at the start of each beat.
+    increment : ndarray (b, ..., 4), optional
+        Increments of the virtual controls; none by default.
+    parameters : ndarray (b, ..., p), optional
+        Uncertain parameters; nominal by default.
+
+    Returns
+    -------
+    ndarray (b, ..., 8)
+        Batch axes broadcast.
+    """
+    beats = np.asarray(beats)
+    error = np.asarray(error, dtype=float)
+    depth = max(np.ndim(a) for a in (error, increment, parameters) if a is not None) - 2
+
+    def per_beat(values: Array) -> Array:
+        return values.reshape(len(beats), *(1,) * depth, values.shape[-1])
+
+    start = coordinates.retract(per_beat(nominal.states[beats]), error)
+    end = step(
+        aircraft,
+        start,
+        per_beat(nominal.controls[beats]),
+        nominal.dt,
+        parameters=parameters,
+        increment=increment,
+    )
+    return coordinates.difference(end, per_beat(nominal.states[beats + 1]))
+
+
+@dataclass(frozen=True)
+class TaylorMap:
+    """Taylor polynomials of the error map at a batch of beats, about zero error.
+
+    Attributes
+    ----------
+    space : TaylorSpace
+        The monomials, in the variables ``errors + increments + parameters`` listed below.
+    coefficients : ndarray (b, 8, ncoef)
+        Coefficients of each component of the error at the end of the beat.
+    errors, increments, parameters : tuple of int
+        Which error components, virtual controls and parameters are variables, in the order of the space's
+        variables. Parameters enter as differences from their nominal values; everything else is held at zero.
+    """
+
+    space: TaylorSpace
+    coefficients: Array
+    errors: tuple[int, ...]
+    increments: tuple[int, ...]
+    parameters: tuple[int, ...]
+
+    def __call__(self, points: Array) -> Array:
+        """Values at points (b, u, nvar): ndarray (b, u, 8)."""
+        from aerotube.numerics.taylor import Taylor
+
+        polynomials = Taylor(self.space, self.coefficients[:, None])
+        return np.asarray(polynomials(np.asarray(points)[:, :, None, :]))
+
+
+def taylor_map(
+    aircraft: Aircraft,
+    nominal: Nominal,
+    beats: Sequence[int] | NDArray[np.intp],
+    coordinates: ErrorCoordinates,
+    order: int = 3,
+    errors: Sequence[int] = range(8),
+    increments: Sequence[int] = range(4),
+    parameters: Sequence[int] = (),
+) -> TaylorMap:
+    """Taylor polynomials of the error map, by forward Taylor arithmetic through the aircraft's own equations.
+
+    Parameters
+    ----------
+    beats : sequence of int, length b
+    order : int
+        Total degree; the paper's choice is 3 (Section 2.2.1).
+    errors, increments, parameters : sequences of int
+        The variables; see :class:`TaylorMap`.
+
+    Returns
+    -------
+    TaylorMap
+
+    Notes
+    -----
+    Tables interpolated linearly contribute the slope of the piece the nominal lies on, and no curvature.
+    """
+    from aerotube.numerics.taylor import Taylor, TaylorSpace
+
+    beats = np.asarray(beats)
+    errors, increments, parameters = tuple(errors), tuple(increments), tuple(parameters)
+    space = TaylorSpace(len(errors) + len(increments) + len(parameters), order)
+    zero = np.zeros(len(beats))
+    error: list[Taylor | Array] = [zero] * 8
+    increment: list[Taylor | Array] = [zero] * 4
+    sigma: list[Taylor | Array] = [zero + value for value in aircraft.parameter_nominal]
+    targets = [(error, i) for i in errors] + [(increment, i) for i in increments] + [(sigma, i) for i in parameters]
+    for variable, (components, i) in enumerate(targets):
+        components[i] = space.variable(variable, components[i])
+    start = coordinates.retract_components(list(nominal.states[beats].T), error)
+    end = step_components(
+        aircraft,
+        start,
+        list(nominal.controls[beats].T),
+        nominal.dt,
+        parameters=sigma,
+        increment=increment if increments else None,
+    )
+    difference = coordinates.difference_components(end, list(nominal.states[beats + 1].T))
+    coefficients = np.zeros((len(beats), 8, len(space.exponents)))
+    for i, component in enumerate(difference):
+        if isinstance(component, Taylor):
+            coefficients[:, i] = component.coefficients
+        else:
+            coefficients[:, i, 0] = component
+    return TaylorMap(space, coefficients, errors, increments, parameters)
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """First-order error map of every beat: ``x+ = A x + B du + offset``.
+
+    Attributes
+    ----------
+    A : ndarray (T, 8, 8)
+    B : ndarray (T, 8, 4)
+        With respect to the increments of the virtual controls.
+    offset : ndarray (T, 8)
+        Error at the end of a beat that starts without one; zero where the nominal is a trajectory of this
+        aircraft.
+    """
+
+    A: Array
+    B: Array
+    offset: Array
+
+
+def linearise(aircraft: Aircraft, nominal: Nominal, coordinates: ErrorCoordinates) -> Linearisation:
+    """Linearise the error map at every beat of a nominal trajectory.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+    nominal : Nominal
+    coordinates : ErrorCoordinates
+
+    Returns
+    -------
+    Linearisation
+    """
+    polynomial = taylor_map(aircraft, nominal, np.arange(nominal.beats), coordinates, order=1)
+    by_variable = {tuple(e): i for i, e in enumerate(polynomial.space.exponents)}
+    unit = np.eye(12, dtype=int)
+    first = polynomial.coefficients[:, :, [by_variable[tuple(row)] for row in unit]]
+    constant = polynomial.coefficients[:, :, by_variable[(0,) * 12]]
+    return Linearisation(A=first[:, :, :8].copy(), B=first[:, :, 8:].copy(), offset=constant.copy())

@@ -1,0 +1,119 @@
+r"""In which shape the error at the end of a beat is measured: the matrix :math:`E_1` of the terminal ellipsoid.
+
+Two choices are offered. ``riccati`` is the paper's (Eq. 8, in discrete time): the cost of the linear-quadratic
+regulator that would fly on for ever as at this beat. ``cost-to-go`` is the cost of what will come: the backward
+recursion along the trajectory,
+
+.. math:: P_t = Q_t + A_t^T P_{t+1} A_t
+          - A_t^T P_{t+1} B_t \left(R + (1+\nu) B_t^T P_{t+1} B_t\right)^{-1} B_t^T P_{t+1} A_t ,
+
+in which :math:`\nu` counts what measurement noise, fed back, will add; the shape of beat t is
+:math:`P_{t+1}`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
+
+from aerotube.dynamics.components import split
+from aerotube.dynamics.errors import ErrorCoordinates
+from aerotube.errors import ComputationError, InputError
+from aerotube.numerics import attitude
+
+Array = NDArray[np.float64]
+
+
+def tracking_weights(states: Array, coordinates: ErrorCoordinates) -> Array:
+    """Weights that make ``x' Q x`` the square of the paper's tracking error (Eq. 18), to first order.
+
+    Parameters
+    ----------
+    states : ndarray (..., 13 or more)
+        Nominal states.
+    coordinates : ErrorCoordinates
+        A tilt is ``cos(theta)`` times a roll difference; where the cosine is below a tenth, the roll difference
+        means little and a tenth is taken.
+
+    Returns
+    -------
+    ndarray (..., 8, 8)
+        Diagonal. The metric is in hundreds of m/s and in degrees, and a mean over the eight components.
+    """
+    states = np.asarray(states, dtype=float)
+    degrees = np.degrees(1.0)
+    scale = np.broadcast_to([0.01, *[degrees] * 7], (*states.shape[:-1], 8)).copy()
+    if coordinates.kind == "relative":
+        _, pitch, _ = attitude.euler_from_quaternion(split(states[..., 3:7]))
+        scale[..., 7] /= np.maximum(np.abs(np.cos(pitch)), 0.1)
+    weights = np.zeros((*scale.shape, 8))
+    weights[..., np.arange(8), np.arange(8)] = scale**2 / 8.0
+    return weights
+
+
+def riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
+    """Cost matrices of the stationary regulator at each beat (Eq. 8, discrete).
+
+    Parameters
+    ----------
+    A : ndarray (T, n, n)
+    B : ndarray (T, n, m)
+    Q : ndarray (T, n, n)
+        Positive definite.
+    R : ndarray (T, m, m)
+        Positive definite.
+
+    Returns
+    -------
+    ndarray (T, n, n)
+
+    Raises
+    ------
+    ComputationError
+        If the equation of a beat has no stabilising solution.
+    """
+    out = np.empty_like(A)
+    for beat, (a, b, q, r) in enumerate(zip(A, B, Q, R, strict=True)):
+        try:
+            out[beat] = solve_discrete_are(a, b, q, r)
+        except (np.linalg.LinAlgError, ValueError) as error:
+            raise ComputationError(
+                f"shape: the Riccati equation of beat {beat} has no stabilising solution ({error}); use the "
+                "shape 'cost-to-go', or other weights."
+            ) from None
+    return 0.5 * (out + np.swapaxes(out, -1, -2))
+
+
+def cost_to_go(A: Array, B: Array, Q: Array, R: Array, noise_weight: float = 0.0) -> tuple[Array, Array]:
+    """Backward Riccati recursion along a trajectory.
+
+    Parameters
+    ----------
+    A : ndarray (T, n, n)
+    B : ndarray (T, n, m)
+    Q : ndarray (T + 1, n, n)
+        The last is the cost at the end.
+    R : ndarray (T, m, m)
+        Positive definite.
+    noise_weight : float
+        The weight nu of fed-back noise, see the module's text; not negative.
+
+    Returns
+    -------
+    cost : ndarray (T + 1, n, n)
+        Cost matrices, the first at the start of beat 0.
+    gain : ndarray (T, m, n)
+        Gains K of the optimal law ``du = K x``.
+    """
+    if noise_weight < 0:
+        raise InputError(f"shape: the noise weight is {noise_weight}; it must not be negative.")
+    beats, n, m = B.shape
+    cost, gain = np.empty((beats + 1, n, n)), np.empty((beats, m, n))
+    cost[beats] = Q[beats]
+    for t in range(beats - 1, -1, -1):
+        pb = cost[t + 1] @ B[t]
+        gain[t] = -np.linalg.solve(R[t] + (1.0 + noise_weight) * (B[t].T @ pb), pb.T @ A[t])
+        value = Q[t] + A[t].T @ cost[t + 1] @ A[t] + A[t].T @ pb @ gain[t]
+        cost[t] = 0.5 * (value + value.T)
+    return cost, gain
