@@ -1,0 +1,289 @@
+"""The low-fidelity F-16: the public wind-tunnel model of the flight-dynamics textbooks.
+
+Elevator deflection is positive trailing edge down (nose down), aileron positive to roll left, rudder positive to
+turn the nose left. Forces and moments are in body axes.
+
+References: L. T. Nguyen et al., NASA TP-1538, 1979; B. L. Stevens, F. L. Lewis, E. N. Johnson, *Aircraft Control
+and Simulation*, 3rd ed., appendix A. The elevator's range is that of "Fast Tube-Based Robust Compensation Control
+for Fixed-Wing UAVs"; the tables reach 25 degrees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import ArrayLike
+
+from aerotube.aircraft.atmosphere import air_density, speed_of_sound
+from aerotube.aircraft.base import (
+    RIGID_BODY_STATES,
+    RIGID_BODY_UNITS,
+    STILL_AIR,
+    Aircraft,
+    Array,
+    Components,
+    Range,
+    split,
+)
+from aerotube.aircraft.f16_aerodynamics import (
+    CHORD,
+    REFERENCE_CENTRE,
+    SPAN,
+    WING_AREA,
+    AerodynamicTables,
+    aerodynamic_tables,
+    coefficients,
+)
+from aerotube.aircraft.f16_engine import (
+    power_from_throttle,
+    power_from_thrust,
+    power_rate,
+    throttle_from_power,
+    thrust_from_power,
+    thrust_levels,
+    thrust_table,
+)
+from aerotube.aircraft.rigid_body import Inertia, flow_angles, rigid_body_rates
+from aerotube.aircraft.units import FOOT, POUND_FORCE, SLUG
+from aerotube.errors import InputError
+from aerotube.numerics import Table2, select
+from aerotube.numerics.tables import Interpolation
+
+GRAVITY = 32.17 * FOOT  # m/s2, as the source rounds it
+MASS = 20500.0 * POUND_FORCE / GRAVITY  # kg
+INERTIA = Inertia(*(SLUG * FOOT**2 * np.array([9496.0, 55814.0, 63100.0, 982.0])).tolist())
+ENGINE_MOMENTUM = 160.0 * SLUG * FOOT**2  # kg m2/s
+
+
+class Airframe(NamedTuple):
+    """The numbers of one F-16, in a form that compiled code can take."""
+
+    aerodynamics: AerodynamicTables
+    thrust: Table2
+    inertia: Inertia
+    lever: float  # centre of gravity ahead of the tables' reference, over the chord
+    engine_momentum: float  # kg m2/s
+
+
+@register_jitable
+def air_data(state: Components, wind: Components) -> Components:
+    """Airspeed (m/s), angle of attack, sideslip (rad) and Mach number."""
+    u, v, w = state[0] - wind[0], state[1] - wind[1], state[2] - wind[2]
+    airspeed, attack, sideslip = flow_angles((u, v, w))
+    return airspeed, attack, sideslip, airspeed / speed_of_sound(state[12])
+
+
+@register_jitable
+def airframe_rates(
+    airframe: Airframe,
+    state: Components,
+    control: Components,
+    inverse_mass: Any,
+    wind: Components,
+    air: Components,
+    thrust: Any,
+) -> Components:
+    """Rates of the thirteen states at a thrust (N); `air` is what `air_data` gives."""
+    airspeed, attack, sideslip, _mach = air
+    rotation = (state[7] - wind[3], state[8] - wind[4], state[9] - wind[5])
+    cx, cy, cz, cl, cm, cn = coefficients(
+        airframe.aerodynamics, (airspeed, attack, sideslip), rotation, control, airframe.lever
+    )
+    force = (0.5 * WING_AREA) * (air_density(state[12]) * (airspeed * airspeed))
+    per_mass = inverse_mass * (1.0 / MASS)
+    acceleration = force * per_mass
+    return rigid_body_rates(
+        state,
+        (acceleration * cx + thrust * per_mass, acceleration * cy, acceleration * cz),
+        (SPAN * force * cl, CHORD * force * cm, SPAN * force * cn),
+        airframe.inertia,
+        airframe.engine_momentum,
+        GRAVITY,
+    )
+
+
+@register_jitable
+def settled_rates(
+    airframe: Airframe,
+    state: Components,
+    control: Components,
+    thrust_increment: Any,
+    inverse_mass: Any,
+    wind: Components,
+) -> Components:
+    """Rates of the thirteen states, the engine following its throttle at once."""
+    air = air_data(state, wind)
+    levels = thrust_levels(airframe.thrust, air[3], state[12])
+    thrust = thrust_from_power(power_from_throttle(control[1]), levels) + thrust_increment
+    return airframe_rates(airframe, state, control, inverse_mass, wind, air, thrust)
+
+
+@register_jitable
+def lagging_rates(
+    airframe: Airframe, state: Components, control: Components, inverse_mass: Any, wind: Components
+) -> Components:
+    """Rates of the thirteen states and of the engine's power (percent), which lags behind its command."""
+    u, v, w, q0, q1, q2, q3, p, q, r, north, east, altitude, power = state
+    body = (u, v, w, q0, q1, q2, q3, p, q, r, north, east, altitude)
+    air = air_data(body, wind)
+    thrust = thrust_from_power(power, thrust_levels(airframe.thrust, air[3], altitude))
+    rates = airframe_rates(airframe, body, control, inverse_mass, wind, air, thrust)
+    return (*rates, power_rate(power, power_from_throttle(control[1])))
+
+
+class F16(Aircraft):
+    """Low-fidelity F-16.
+
+    Virtual controls: thrust (N) in place of throttle, an increment on the thrust that the nominal throttle gives
+    at the actual state. Thrust has a kink in throttle at 0.77; the dynamics are affine in thrust.
+
+    Parameters
+    ----------
+    xcg : float
+        Centre of gravity as a fraction of the mean chord. The airframe is unstable aft of about 0.35.
+    interpolation : {"linear", "smooth"}
+        Reading of the tables: linear as published, or the natural quintic spline through the same nodes, which
+        has the derivatives that expansions need.
+    engine_momentum : float
+        Angular momentum of the engine (kg m2/s); zero leaves the gyroscopic moment out.
+    engine_lag : bool
+        Append the engine's power (percent) to the states and let it lag behind the throttle. Thrust follows the
+        throttle at once otherwise.
+
+    Raises
+    ------
+    InputError
+        If an option is out of range.
+    """
+
+    name = "f16"
+    gravity = GRAVITY
+    control_lower = -np.deg2rad([20.0, 0.0, 21.5, 30.0])
+    control_upper = np.array([np.deg2rad(20.0), 1.0, np.deg2rad(21.5), np.deg2rad(30.0)])
+
+    domain = (
+        Range("angle of attack", "deg", -10.0, 45.0),
+        Range("sideslip", "deg", -30.0, 30.0),
+        Range("Mach number", "", 0.0, 1.0),
+        Range("altitude", "m", 0.0, 50000.0 * FOOT),
+        Range("military less idle thrust", "N", 0.0, np.inf),
+    )
+
+    def __init__(
+        self,
+        xcg: float = 0.30,
+        interpolation: Interpolation = "linear",
+        engine_momentum: float = ENGINE_MOMENTUM,
+        engine_lag: bool = False,
+    ) -> None:
+        if not 0.0 <= xcg <= 1.0:
+            raise InputError(f"xcg of the F-16 is {xcg}; give the fraction of the chord, between 0 and 1")
+        if interpolation not in ("linear", "smooth"):
+            raise InputError(f"interpolation of the F-16 is {interpolation!r}; choose 'linear' or 'smooth'")
+        if not np.isfinite(engine_momentum):
+            raise InputError(f"engine_momentum of the F-16 is {engine_momentum}; give it in kg m2/s, or 0")
+        self.xcg = float(xcg)
+        self.interpolation = interpolation
+        self.engine_lag = bool(engine_lag)
+        self.airframe = Airframe(
+            aerodynamic_tables(interpolation),
+            thrust_table(interpolation),
+            INERTIA,
+            REFERENCE_CENTRE - self.xcg,
+            float(engine_momentum),
+        )
+        if self.engine_lag:
+            self.state_names = (*RIGID_BODY_STATES, "power")
+            self.state_units = (*RIGID_BODY_UNITS, "percent")
+
+    @property
+    def virtual_names(self) -> tuple[str, ...]:
+        """Elevator, thrust, aileron, rudder."""
+        return ("elevator", "thrust", "aileron", "rudder")
+
+    @property
+    def virtual_units(self) -> tuple[str, ...]:
+        """Units of the virtual controls."""
+        return ("rad", "N", "rad", "rad")
+
+    def rates(
+        self,
+        state: Sequence[Any],
+        control: Sequence[Any],
+        parameters: Sequence[Any] | None = None,
+        wind: Sequence[Any] | None = None,
+    ) -> Components:
+        """Time derivatives of the states; see `Aircraft.rates`."""
+        x, a = tuple(state), tuple(control)
+        inverse_mass = 1.0 if parameters is None else parameters[0]
+        air = STILL_AIR if wind is None else tuple(wind)
+        if self.engine_lag:
+            return lagging_rates(self.airframe, x, a, inverse_mass, air)
+        return settled_rates(self.airframe, x, a, 0.0, inverse_mass, air)
+
+    def rates_virtual(
+        self,
+        state: Sequence[Any],
+        control: Sequence[Any],
+        increment: Sequence[Any],
+        parameters: Sequence[Any] | None = None,
+        wind: Sequence[Any] | None = None,
+    ) -> Components:
+        """Time derivatives under increments of elevator (rad), thrust (N), aileron and rudder (rad).
+
+        With engine lag the thrust increment is a command: the throttle moves to what would give it once settled.
+        """
+        x, a, d = tuple(state), tuple(control), tuple(increment)
+        inverse_mass = 1.0 if parameters is None else parameters[0]
+        air = STILL_AIR if wind is None else tuple(wind)
+        moved = (a[0] + d[0], a[1], a[2] + d[2], a[3] + d[3])
+        if not self.engine_lag:
+            return settled_rates(self.airframe, x, moved, d[1], inverse_mass, air)
+        throttle = self._throttle(self._levels(x, air), a[1], d[1])
+        return lagging_rates(self.airframe, x, (moved[0], throttle, moved[2], moved[3]), inverse_mass, air)
+
+    def virtual_limits(self, state: ArrayLike, control: ArrayLike) -> tuple[Array, Array]:
+        """Increments that the control limits leave; thrust from idle to maximum at each state's Mach and altitude."""
+        x, a = self._checked(state, control)
+        lower, upper = super().virtual_limits(x, a)
+        levels = self._levels(split(x), STILL_AIR)
+        thrust = thrust_from_power(power_from_throttle(a[..., 1]), levels)
+        shape = (*thrust.shape, 4)
+        lower, upper = np.broadcast_to(lower, shape).copy(), np.broadcast_to(upper, shape).copy()
+        lower[..., 1] = np.minimum(levels[0] - thrust, 0.0)
+        upper[..., 1] = np.maximum(levels[2] - thrust, 0.0)
+        return lower, upper
+
+    def realise(self, state: ArrayLike, control: ArrayLike, increment: ArrayLike) -> Array:
+        """Controls, within their limits, that give increments of elevator, thrust, aileron and rudder at a state."""
+        x, a = self._checked(state, control)
+        d = np.asarray(increment, dtype=np.float64)
+        throttle = self._throttle(self._levels(split(x), STILL_AIR), a[..., 1], d[..., 1])
+        moved = np.broadcast_to(a + d, (*np.broadcast_shapes(a.shape[:-1], d.shape[:-1], throttle.shape), 4)).copy()
+        moved[..., 1] = throttle
+        return np.clip(moved, self.control_lower, self.control_upper)
+
+    def settled(self, control: Sequence[Any]) -> Components:
+        """Power (percent) at which the lagging engine rests; nothing without engine lag."""
+        return (power_from_throttle(control[1]),) if self.engine_lag else ()
+
+    def domain_values(self, state: Sequence[Any]) -> Components:
+        """Attack and sideslip (deg), Mach number, altitude (m), and by how much military thrust exceeds idle (N)."""
+        x = tuple(state)
+        _airspeed, attack, sideslip, mach = air_data(x, STILL_AIR)
+        levels = thrust_levels(self.airframe.thrust, mach, x[12])
+        return np.rad2deg(attack), np.rad2deg(sideslip), mach, x[12], levels[1] - levels[0]
+
+    def _levels(self, state: Components, wind: Components) -> Components:
+        mach = air_data(state, wind)[3]
+        return thrust_levels(self.airframe.thrust, mach, state[12])
+
+    def _throttle(self, levels: Components, nominal: Any, increment: Any) -> Any:
+        """Throttle whose settled thrust is that of the nominal throttle plus an increment (N), 0 to 1."""
+        thrust = thrust_from_power(power_from_throttle(nominal), levels) + increment
+        power = power_from_thrust(thrust, levels)
+        bounded = select(power < 0.0, 0.0 * power, select(power > 100.0, 0.0 * power + 100.0, power))
+        return throttle_from_power(bounded)

@@ -1,0 +1,43 @@
+"""Branching by value that works alike on floats, arrays, Taylor polynomials and in compiled code."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba.extending import overload
+
+
+def select(condition: Any, if_true: Any, if_false: Any) -> Any:
+    """Take `if_true` where the condition holds, `if_false` elsewhere.
+
+    The counterpart of :func:`numpy.where` for code that is written once for floats, arrays and
+    :class:`~aerotube.numerics.taylor.Taylor` polynomials. Both alternatives are evaluated by the caller, so
+    both must be defined everywhere.
+
+    Parameters
+    ----------
+    condition : bool or array of bool, shape (...)
+    if_true, if_false : float, array (...) or Taylor with batch shape (...)
+
+    Returns
+    -------
+    float, array or Taylor
+        Of the broadcast shape.
+    """
+    if isinstance(condition, (bool, np.bool_)):
+        return if_true if condition else if_false
+    for operand in (if_true, if_false):
+        if hasattr(operand, "select_where"):
+            return operand.select_where(condition, if_true, if_false)
+    return np.where(condition, if_true, if_false)
+
+
+@overload(select)
+def _select_compiled(condition: Any, if_true: Any, if_false: Any) -> Any:
+    def choose(condition: Any, if_true: Any, if_false: Any) -> Any:
+        if condition:
+            return if_true
+        return if_false
+
+    return choose
