@@ -1,0 +1,1 @@
+"""Solvers behind `aerotube.sos.solve`, one file each."""
