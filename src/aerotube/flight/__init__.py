@@ -1,0 +1,40 @@
+"""Flying a law: Monte Carlo of the full nonlinear aircraft, noise, gusts, an estimator, baselines and metrics."""
+
+from aerotube.flight.draws import Draws, draw
+from aerotube.flight.estimator import Estimate, ExtendedKalmanFilter, extended_kalman_filter
+from aerotube.flight.gusts import Dryden, GustModel
+from aerotube.flight.lqr import CONTROL_WEIGHTS, NOISE_WEIGHTS, LqrSweep, best_lqr, time_varying_lqr
+from aerotube.flight.metrics import (
+    METRIC_SCALE,
+    error_metric,
+    mean_absolute_error,
+    mean_upper_error,
+    root_mean_square_error,
+    upper_envelope,
+)
+from aerotube.flight.simulate import Divergence, Flights, Law, simulate
+
+__all__ = [
+    "CONTROL_WEIGHTS",
+    "METRIC_SCALE",
+    "NOISE_WEIGHTS",
+    "Divergence",
+    "Draws",
+    "Dryden",
+    "Estimate",
+    "ExtendedKalmanFilter",
+    "Flights",
+    "GustModel",
+    "Law",
+    "LqrSweep",
+    "best_lqr",
+    "draw",
+    "error_metric",
+    "extended_kalman_filter",
+    "mean_absolute_error",
+    "mean_upper_error",
+    "root_mean_square_error",
+    "simulate",
+    "time_varying_lqr",
+    "upper_envelope",
+]
