@@ -11,12 +11,16 @@ from aerotube.numerics.attitude import (
     quaternion_rates,
     wrap_angle,
 )
+from aerotube.numerics.lookup import lookup1, lookup2
 from aerotube.numerics.select import select
-from aerotube.numerics.tables import Table1, Table2, lookup1, lookup2, stack1, stack2, table1, table2
+from aerotube.numerics.tables import Table1, Table2, stack1, stack2, table1, table2
+from aerotube.numerics.taylor import Taylor, TaylorSpace
 
 __all__ = [
     "Table1",
     "Table2",
+    "Taylor",
+    "TaylorSpace",
     "body_to_earth",
     "earth_to_body",
     "euler_from_quaternion",

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numba.extending import overload
 
+from aerotube.numerics.taylor import Taylor, choose
+
 
 def select(condition: Any, if_true: Any, if_false: Any) -> Any:
     """Take `if_true` where the condition holds, `if_false` elsewhere.
@@ -27,9 +29,8 @@ def select(condition: Any, if_true: Any, if_false: Any) -> Any:
     """
     if isinstance(condition, (bool, np.bool_)):
         return if_true if condition else if_false
-    for operand in (if_true, if_false):
-        if hasattr(operand, "select_where"):
-            return operand.select_where(condition, if_true, if_false)
+    if isinstance(if_true, Taylor) or isinstance(if_false, Taylor):
+        return choose(condition, if_true, if_false)
     return np.where(condition, if_true, if_false)
 
 

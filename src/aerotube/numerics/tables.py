@@ -9,19 +9,17 @@ A table is stored as one local polynomial per cell, whatever its interpolation:
   continuous derivatives everywhere, and continues outside as a quadratic (I. J. Schoenberg, "Spline
   interpolation and the higher derivatives", Proc. Natl. Acad. Sci. 51, 1964).
 
-Tables are named tuples of arrays, so that compiled code can take them as arguments; `lookup1` and `lookup2`
-evaluate them for floats, arrays and Taylor polynomials, and inside compiled code.
+Tables are named tuples of arrays, so that compiled code can take them as arguments; they are read with `lookup1`
+and `lookup2`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import comb, factorial
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numba import njit
-from numba.extending import overload
 from numpy.typing import ArrayLike, NDArray
 
 Interpolation = Literal["linear", "smooth"]
@@ -113,116 +111,6 @@ def stack2(tables: Sequence[Table2]) -> Table2:
     x, y = _union([table.x for table in tables]), _union([table.y for table in tables])
     refined = [_refine(_refine(table.coefficients, table.x, x, 0, 3), table.y, y, 1, 4) for table in tables]
     return Table2(x, y, np.ascontiguousarray(np.concatenate(_padded(refined, (3, 4)), axis=2)))
-
-
-def lookup1(table: Table1, x: Any) -> Any:
-    """Values of all outputs of a table.
-
-    Parameters
-    ----------
-    table : Table1
-    x : float, array (...) or Taylor
-
-    Returns
-    -------
-    array (outputs, ...), or for a Taylor argument a tuple of Taylor, one an output
-    """
-    points = np.asarray(x, dtype=np.float64)
-    values = np.empty((table.coefficients.shape[1], points.size))
-    _evaluate1(table, np.ascontiguousarray(points).reshape(-1), values)
-    return values.reshape(values.shape[:1] + points.shape)
-
-
-def lookup2(table: Table2, x: Any, y: Any) -> Any:
-    """Values of all outputs of a table.
-
-    Parameters
-    ----------
-    table : Table2
-    x, y : float, array (...) or Taylor
-        Broadcast against each other.
-
-    Returns
-    -------
-    array (outputs, ...), or for a Taylor argument a tuple of Taylor, one an output
-    """
-    first, second = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-    values = np.empty((table.coefficients.shape[2], first.size))
-    _evaluate2(table, np.ascontiguousarray(first).reshape(-1), np.ascontiguousarray(second).reshape(-1), values)
-    return values.reshape(values.shape[:1] + first.shape)
-
-
-@njit(cache=True, nogil=True)
-def _cell(axis: Axis, x: float) -> int:
-    """Index of the cell that holds x; 0 where x is not a number."""
-    last = axis.boundaries.size
-    if last == 0:
-        return 0
-    guess = (x - axis.boundaries[0]) * axis.inverse_step + 1.0
-    if not guess > 0.0:
-        index = 0
-    elif guess >= last:
-        index = last
-    else:
-        index = int(guess)
-    while index > 0 and x < axis.boundaries[index - 1]:
-        index -= 1
-    while index < last and x >= axis.boundaries[index]:
-        index += 1
-    return index
-
-
-@njit(cache=True, nogil=True)
-def _evaluate1(table: Table1, x: Array, values: Array) -> None:
-    """Write the outputs (outputs, points) at the points x (points,)."""
-    outputs, powers = table.coefficients.shape[1:]
-    for point in range(x.size):
-        cell = _cell(table.x, x[point])
-        local = x[point] - table.x.origins[cell]
-        for output in range(outputs):
-            value = table.coefficients[cell, output, powers - 1]
-            for power in range(powers - 2, -1, -1):
-                value = value * local + table.coefficients[cell, output, power]
-            values[output, point] = value
-
-
-@njit(cache=True, nogil=True)
-def _evaluate2(table: Table2, x: Array, y: Array, values: Array) -> None:
-    """Write the outputs (outputs, points) at the points (x, y), each (points,)."""
-    outputs, powers_x, powers_y = table.coefficients.shape[2:]
-    for point in range(x.size):
-        cell_x, cell_y = _cell(table.x, x[point]), _cell(table.y, y[point])
-        local_x = x[point] - table.x.origins[cell_x]
-        local_y = y[point] - table.y.origins[cell_y]
-        pieces = table.coefficients[cell_x, cell_y]
-        for output in range(outputs):
-            value = 0.0
-            for i in range(powers_x - 1, -1, -1):
-                inner = pieces[output, i, powers_y - 1]
-                for j in range(powers_y - 2, -1, -1):
-                    inner = inner * local_y + pieces[output, i, j]
-                value = value * local_x + inner
-            values[output, point] = value
-
-
-@overload(lookup1)
-def _lookup1_compiled(table: Any, x: Any) -> Any:
-    def lookup(table: Any, x: Any) -> Any:
-        values = np.empty((table.coefficients.shape[1], 1))
-        _evaluate1(table, np.array([x]), values)
-        return values[:, 0]
-
-    return lookup
-
-
-@overload(lookup2)
-def _lookup2_compiled(table: Any, x: Any, y: Any) -> Any:
-    def lookup(table: Any, x: Any, y: Any) -> Any:
-        values = np.empty((table.coefficients.shape[2], 1))
-        _evaluate2(table, np.array([x]), np.array([y]), values)
-        return values[:, 0]
-
-    return lookup
 
 
 def _breakpoints(x: ArrayLike, interpolation: str) -> Array:
