@@ -1,0 +1,235 @@
+"""The labelled dataset of a run, and its file ``results.nc``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from aerotube.errors import InputError
+from aerotube.results.record import (
+    CONTROL_UNITS,
+    CONTROLLERS,
+    CONTROLS,
+    STATE_UNITS,
+    STATES,
+    Case,
+    Law,
+    Record,
+)
+from aerotube.results.writing import whole_file
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: Raised by one in its last place when a variable is added, in its first when one is renamed or removed.
+SCHEMA_VERSION = "1.0"
+
+
+def build(record: Record) -> xr.Dataset:
+    """Label everything that a run has computed.
+
+    Parameters
+    ----------
+    record : Record
+        Complete or not; what is absent is left out (laws) or missing values (cases, see ``flown``).
+
+    Returns
+    -------
+    xarray.Dataset
+        SI units, in the attribute ``units`` of each variable; provenance in the attributes.
+    """
+    import xarray as xr
+
+    beats = len(record.nominal_controls)
+    dataset = xr.Dataset(
+        coords={
+            "time": ("time", record.times, {"units": "s"}),
+            "beat": ("beat", np.arange(beats), {"long_name": "beat, from time[beat] to time[beat + 1]"}),
+            "state": ("state", list(STATES), {"long_name": "error state"}),
+            "state_units": ("state", list(STATE_UNITS)),
+            "control": ("control", list(CONTROLS)),
+            "control_units": ("control", list(CONTROL_UNITS)),
+            "full_state": ("full_state", list(record.full_state_names)),
+            "full_state_units": ("full_state", list(record.full_state_units)),
+        },
+        attrs=dict(record.provenance)
+        | {
+            "title": "aerotube results: tubes, laws and flights of one scenario",
+            "Conventions": "CF-1.10",
+            "schema_version": SCHEMA_VERSION,
+            "complete": int(not record.interrupted and len(record.cases) == _wanted(record)),
+            "interrupted": int(record.interrupted),
+            "runs_per_seed": record.runs,
+            "problems": json.dumps(record.problems, ensure_ascii=False),
+        },
+    )
+    by_state, by_control = {"units": "see state_units"}, {"units": "see control_units"}
+    put = dataset.__setitem__
+    put("nominal_state", (("time", "state"), record.nominal_error_states, by_state))
+    put(
+        "nominal_full_state",
+        (("time", "full_state"), record.nominal_states, {"units": "see full_state_units"}),
+    )
+    put("nominal_control", (("beat", "control"), record.nominal_controls, by_control))
+    put(
+        "half_width",
+        ("state", record.half_widths, by_state | {"long_name": "half-width of the disturbance box"}),
+    )
+    put("control_lower", ("control", record.control_lower, by_control))
+    put("control_upper", ("control", record.control_upper, by_control))
+    if record.coefficient_alpha is not None:
+        dataset.coords["coefficient_alpha"] = (
+            "coefficient_alpha",
+            record.coefficient_alpha,
+            {"units": "rad"},
+        )
+        for name, values in record.coefficients.items():
+            put(f"coefficient_{name}", ("coefficient_alpha", values, {"units": "1"}))
+    if record.laws:
+        _put_laws(dataset, record.laws)
+    if record.conditions:
+        _put_cases(dataset, record)
+    return dataset
+
+
+def _wanted(record: Record) -> int:
+    return len(CONTROLLERS) * len(record.conditions)
+
+
+def _put_laws(dataset: xr.Dataset, laws: dict[str, Law]) -> None:
+    dataset.coords["law"] = ("law", list(laws), {"long_name": "setting of the synthesis"})
+    # The algorithm, and so the parts, are common to all settings.
+    parts = next(iter(laws.values())).parts
+    dataset.coords["part"] = ("part", [name for name, _ in parts])
+    dataset.coords["part_state"] = (("part", "row"), [[STATES[i] for i in indices] for _, indices in parts])
+
+    def stacked(attribute: str) -> Any:
+        return np.stack([getattr(law, attribute) for law in laws.values()])
+
+    shape = ("law", "beat", "part", "row", "column")
+    size = ("law", "beat", "part")
+    kinds = {
+        "initial": "ellipsoid {x : x'Ex <= rho} at the start of a beat",
+        "terminal": "ellipsoid at the end of a beat, with the law",
+        "nominal": "ellipsoid at the end of a beat, without compensation",
+    }
+    inverse = {"units": "1 over the products of part_state units"}
+    for kind, words in kinds.items():
+        dataset[f"{kind}_shape"] = (shape, stacked(f"{kind}_shape"), inverse | {"long_name": f"E of the {words}"})
+        dataset[f"{kind}_rho"] = (size, stacked(f"{kind}_rho"), {"units": "1", "long_name": f"rho of the {words}"})
+    dataset["metric"] = (shape, stacked("metric"), inverse | {"long_name": "in which the synthesis measured size"})
+    for name, words in (("size", "with the law"), ("size_nominal", "without compensation")):
+        long_name = f"least rho in the metric, {words}"
+        dataset[name] = (size, stacked(name), {"units": "1", "long_name": long_name})
+    dataset["gain"] = (
+        ("law", "beat", "control", "state"),
+        stacked("gains"),
+        {"units": "virtual control over state, SI", "long_name": "linear part of the law; throttle row in N"},
+    )
+    dataset["feasible"] = (
+        size,
+        stacked("feasible"),
+        {"long_name": "a law was found; else the nominal alone is flown"},
+    )
+    dataset["solve_time"] = (
+        size,
+        stacked("solve_seconds"),
+        {"units": "s", "long_name": "time to solve one part"},
+    )
+    dataset["certificate"] = (
+        "law",
+        [law.certificate for law in laws.values()],
+        {"long_name": "what the tubes rest on"},
+    )
+    dataset["settings"] = ("law", [json.dumps(dict(law.settings)) for law in laws.values()])
+
+
+def _put_cases(dataset: xr.Dataset, record: Record) -> None:
+    dataset.coords["controller"] = ("controller", list(CONTROLLERS))
+    dataset.coords["condition"] = ("condition", list(record.conditions))
+    dataset.coords["seed"] = ("seed", list(record.seeds), {"long_name": "seed of the random draws"})
+    dataset.coords["run"] = ("run", np.arange(record.runs))
+    grid = (len(CONTROLLERS), len(record.conditions))
+    seeds, runs, times = len(record.seeds), record.runs, len(record.times)
+    upper = np.full((*grid, seeds, times), np.nan)
+    mean = np.full((*grid, seeds, times), np.nan)
+    error = np.full((*grid, runs, times, len(STATES)), np.nan)
+    command = np.full((*grid, runs, times - 1, len(CONTROLS)), np.nan)
+    diverged = np.zeros((*grid, seeds, runs), dtype=bool)
+    flown = np.zeros(grid, dtype=bool)
+    words = np.full(grid, "", dtype=object)
+    for (controller, condition), case in record.cases.items():
+        at = CONTROLLERS.index(controller), record.conditions.index(condition)
+        upper[at], mean[at], error[at], command[at] = (
+            case.upper_metric,
+            case.mean_metric,
+            case.error,
+            case.command,
+        )
+        diverged[at], flown[at], words[at] = case.diverged, True, case.law
+    case_dims = ("controller", "condition")
+    metric = {
+        "units": "deg",
+        "long_name": "error metric (Eq. 18): RMS over the eight states, deg and deg/s, V in 100 m/s",
+    }
+    dataset["upper_metric"] = ((*case_dims, "seed", "time"), upper, metric | {"cell_methods": "run: maximum"})
+    dataset["mean_metric"] = ((*case_dims, "seed", "time"), mean, metric | {"cell_methods": "run: mean"})
+    dataset["error"] = (
+        (*case_dims, "run", "time", "state"),
+        error,
+        {"units": "see state_units", "long_name": "difference to the nominal, runs of the first seed"},
+    )
+    dataset["command"] = (
+        (*case_dims, "run", "beat", "control"),
+        command,
+        {"units": "see control_units", "long_name": "control, runs of the first seed"},
+    )
+    dataset["diverged"] = ((*case_dims, "seed", "run"), diverged)
+    dataset["flown"] = (
+        case_dims,
+        flown,
+        {"long_name": "false: this case was not reached, its values are missing"},
+    )
+    dataset["flown_law"] = (case_dims, words.astype(str))
+
+
+def write(dataset: xr.Dataset, path: str | Path) -> None:
+    """Write a dataset to a netCDF file, whole or not at all."""
+    compressed = {
+        name: {"zlib": True, "complevel": 1}
+        for name, variable in dataset.data_vars.items()
+        if variable.dtype.kind == "f" and variable.ndim > 1
+    }
+    with whole_file(path) as aside:
+        dataset.to_netcdf(aside, engine="h5netcdf", encoding=compressed)
+
+
+def read(path: str | Path) -> xr.Dataset:
+    """Read a results file.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it is no netCDF file, or not of a schema that this version reads.
+    """
+    import xarray as xr
+
+    if not Path(path).is_file():
+        raise InputError(f"results {path}: no such file; `aerotube run` writes one")
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as dataset:
+            dataset.load()
+    except (OSError, ValueError) as error:
+        raise InputError(f"results {path} cannot be read as netCDF ({error})") from None
+    version = str(dataset.attrs.get("schema_version", "none"))
+    if version.split(".")[0] != SCHEMA_VERSION.split(".")[0]:
+        raise InputError(
+            f"results {path} has schema version {version}, this aerotube reads {SCHEMA_VERSION}; run it again"
+        )
+    return dataset
+
+
+__all__ = ["SCHEMA_VERSION", "Case", "Law", "Record", "build", "read", "write"]
