@@ -1,0 +1,246 @@
+"""The page ``report.html``: one file that opens offline."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from html import escape
+from importlib import resources
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING, Any
+
+from aerotube.report import interactive
+from aerotube.report.style import flown
+from aerotube.report.tubes import certificate_words
+from aerotube.results import CALM, CONDITION_WORDS, CONTROLLER_WORDS, ESTIMATOR, KEY_SUFFIX, NOISE
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def build_page(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
+    """Build the page.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+    summary : mapping
+        Of the dataset.
+    figures : mapping of str to Path
+        Pictures by name, as `aerotube.report.draw` wrote them.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    sections = [
+        ("errors", "Tracking errors", _errors(dataset, summary)),
+        ("tubes", "Trajectory tubes", _tubes(dataset, summary, figures)),
+        ("tracking", "States and controls", _tracking(figures)),
+        ("aircraft", "Aircraft", _aircraft(figures)),
+        ("scenario", "Scenario", _scenario(dataset)),
+        ("provenance", "Provenance", _provenance(dataset)),
+    ]
+    shown = [(name, title, body) for name, title, body in sections if body]
+    links = "".join(f'<a href="#{name}">{escape(title)}</a>' for name, title, _ in shown)
+    bodies = "".join(f'<section id="{name}"><h2>{escape(title)}</h2>{body}</section>' for name, title, body in shown)
+    drawn = any("plotly-graph-div" in body for _, _, body in shown)
+    template = Template(resources.files("aerotube.report").joinpath("page.html").read_text(encoding="utf-8"))
+    return template.substitute(
+        version=escape(str(dataset.attrs.get("aerotube_version", ""))),
+        title=escape(str(summary["title"] or "aerotube results")),
+        lead=(
+            f"{summary['beats']} beats in {summary['horizon_s']:g} s; {summary['seeds']} seeds of "
+            f"{summary['runs_per_seed']} runs each; computed {escape(str(dataset.attrs.get('created', '')))} "
+            f"with aerotube {escape(str(dataset.attrs.get('aerotube_version', '')))}."
+        ),
+        notice=_notice(summary),
+        cards=_cards(summary),
+        sections=f"<nav>{links}</nav>{bodies}",
+        script=f"<script>{interactive.plotly_script()}</script>" if drawn else "",
+    )
+
+
+def _number(spread: Mapping[str, float | None], digits: int = 3) -> str:
+    if spread["mean"] is None:
+        return "–"
+    mean = f"{spread['mean']:.{digits}f}"
+    return mean if spread["sd"] is None else f"{mean} ± {spread['sd']:.{digits}f}"
+
+
+def _percent(spread: Mapping[str, float | None]) -> str:
+    if spread["mean"] is None:
+        return "–"
+    mean = f"{100 * spread['mean']:.1f}"
+    return f"{mean} %" if spread["sd"] is None else f"{mean} ± {100 * spread['sd']:.1f} %"
+
+
+def _notice(summary: Mapping[str, Any]) -> str:
+    problems = summary["problems"]
+    if not problems and summary["complete"]:
+        return ""
+    words = []
+    if summary["interrupted"]:
+        words.append("The run was interrupted; what was finished is shown.")
+    elif not summary["complete"]:
+        words.append("Some parts could not be computed; the rest is shown.")
+    if problems:
+        words.append(f"{len(problems)} computed failure(s); the nominal alone was flown where there was no law:")
+    items = "".join(f"<li>{escape(problem)}</li>" for problem in problems[:20])
+    more = f"<li>and {len(problems) - 20} more, in summary.json</li>" if len(problems) > 20 else ""
+    return f'<div class="notice">{escape(" ".join(words))}<ul>{items}{more}</ul></div>'
+
+
+def _cards(summary: Mapping[str, Any]) -> str:
+    cards = []
+    for condition, suffix in KEY_SUFFIX.items():
+        reduction = summary[f"reduction{suffix}"]
+        if reduction["mean"] is None:
+            continue
+        errors = summary[f"mean_upper_error{suffix}"]
+        cards.append(
+            f'<div class="card"><div class="what">Mean upper error, {CONDITION_WORDS[condition]}</div>'
+            f'<div class="number">−{100 * reduction["mean"]:.1f} %</div>'
+            f'<div class="how">{errors["none"]["mean"]:.3f} → {errors["compensated"]["mean"]:.3f}; '
+            f"LQR {_number(errors['lqr']).split(' ')[0]}</div></div>"
+        )
+    solve = summary["solve_ms"]
+    if solve["median"] is not None:
+        parts = summary["beats"]
+        cards.append(
+            '<div class="card"><div class="what">Time to solve one half of one beat</div>'
+            f'<div class="number">{solve["median"]:.1f} ms</div>'
+            f'<div class="how">99th percentile {solve["p99"]:.1f} ms; {summary["feasible_beats"]} of {parts} beats '
+            "feasible</div></div>"
+        )
+    return "".join(cards)
+
+
+def _errors(dataset: xr.Dataset, summary: Mapping[str, Any]) -> str:
+    conditions = [name for name in KEY_SUFFIX if flown(dataset, name)]
+    if not conditions:
+        return ""
+    head = "".join(f'<th class="n">{escape(CONDITION_WORDS[name])}</th>' for name in conditions)
+    rows = []
+    for controller, words in CONTROLLER_WORDS.items():
+        cells = "".join(
+            f'<td class="n">{_number(summary[f"mean_upper_error{KEY_SUFFIX[name]}"][controller])}</td>'
+            for name in conditions
+        )
+        rows.append(f'<tr><td><span class="key {controller}"></span>{escape(words)}</td>{cells}</tr>')
+    for key, words in (("reduction", "reduction by compensation"), ("lqr_reduction", "reduction by LQR")):
+        cells = "".join(f'<td class="n">{_percent(summary[f"{key}{KEY_SUFFIX[name]}"])}</td>' for name in conditions)
+        rows.append(f"<tr><td>{words}</td>{cells}</tr>")
+    laws = "".join(
+        f"<li>{escape(CONDITION_WORDS[name])}: {escape(CONTROLLER_WORDS[controller])} flies "
+        f"{escape(str(dataset['flown_law'].sel(controller=controller, condition=name).values))}</li>"
+        for name in conditions
+        for controller in flown(dataset, name)
+        if controller != "none"
+    )
+    return (
+        "<p>The error of a run is the root mean square over the eight states (Eq. 18), in degrees and degrees per "
+        "second, the airspeed in hundreds of m/s. The mean upper error is the largest over the runs of a seed, "
+        "averaged over time; shown is its mean over the seeds ± their standard deviation.</p>"
+        f'<div class="scroll"><table><tr><th>mean upper error (deg)</th>{head}</tr>{"".join(rows)}</table></div>'
+        f"<details><summary>Which laws were flown</summary><ul>{laws}</ul></details>"
+        f"{interactive.errors_html(dataset, conditions)}"
+    )
+
+
+def _tubes(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
+    if "law" not in dataset.dims:
+        return ""
+    rows = []
+    for name, law in summary["laws"].items():
+        settings = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in law["settings"].items())
+        solve = law["solve_ms"]
+        time = "–" if solve["median"] is None else f"{solve['median']:.1f} / {solve['p99']:.1f}"
+        rows.append(
+            f"<tr><td>{escape(name.replace('_', '-'))}</td><td>{escape(certificate_words(law['certificate']))}</td>"
+            f'<td class="n">{law["feasible_beats"]} of {summary["beats"]}</td><td class="n">{time}</td>'
+            f"<td>{escape(settings)}</td></tr>"
+        )
+    first = str(dataset["law"].values[0])
+    return (
+        "<p>Each beat starts anywhere in the disturbance set; the tube says where the error can be at the end of the "
+        "beat. What a tube is worth depends on its certificate.</p>"
+        '<div class="scroll"><table><tr><th>law</th><th>certificate of its tubes</th><th class="n">feasible beats</th>'
+        '<th class="n">solve, median / p99 (ms)</th><th>settings</th></tr>'
+        f"{''.join(rows)}</table></div>"
+        f"{interactive.tubes_html(dataset, first)}"
+        + _picture(figures, "fig8_tubes", "Tubes and their half-widths over time (counterpart of the paper's Fig. 8).")
+    )
+
+
+_TRACKING = {
+    CALM: "fig9_tracking",
+    NOISE: "fig9_tracking_noise",
+    ESTIMATOR: "fig9_tracking_estimator",
+}
+
+
+def _tracking(figures: Mapping[str, Path]) -> str:
+    pictures = {
+        condition: _picture(figures, name, f"{CONDITION_WORDS[condition].capitalize()} (counterpart of Fig. 9).")
+        for condition, name in _TRACKING.items()
+        if name in figures
+    }
+    bodies = [
+        # The first is open, the others are a click away.
+        picture
+        if number == 0
+        else f"<details><summary>{CONDITION_WORDS[name].capitalize()}</summary>{picture}</details>"
+        for number, (name, picture) in enumerate(pictures.items())
+    ]
+    return "".join(bodies)
+
+
+def _aircraft(figures: Mapping[str, Path]) -> str:
+    return _picture(
+        figures,
+        "fig7_coefficients",
+        "Coefficients about the centre of gravity of the scenario, wind axes for drag and lift (counterpart of the "
+        "paper's Fig. 7).",
+    )
+
+
+def _picture(figures: Mapping[str, Path], name: str, caption: str) -> str:
+    if name not in figures:
+        return ""
+    data = base64.b64encode(figures[name].read_bytes()).decode()
+    words = escape(caption)
+    return f'<figure><img alt="{words}" src="data:image/png;base64,{data}"><figcaption>{words}</figcaption></figure>'
+
+
+def _scenario(dataset: xr.Dataset) -> str:
+    text = str(dataset.attrs.get("scenario_text", ""))
+    overrides = json.loads(str(dataset.attrs.get("scenario_overrides", "{}")))
+    changed = "".join(f"<li><code>{escape(key)} = {escape(str(value))}</code></li>" for key, value in overrides.items())
+    set_over = f"<p>Set over it on the command line:</p><ul>{changed}</ul>" if changed else ""
+    return (
+        f"<p>Scenario <b>{escape(str(dataset.attrs.get('scenario_name', '')))}</b>.</p>{set_over}"
+        f"<details><summary>The scenario file</summary><pre>{escape(text)}</pre></details>"
+    )
+
+
+def _provenance(dataset: xr.Dataset) -> str:
+    attributes = dataset.attrs
+    libraries = json.loads(str(attributes.get("library_versions", "{}")))
+    seeds = [int(seed) for seed in dataset["seed"].values] if "seed" in dataset else []
+    rows = {
+        "aerotube": attributes.get("aerotube_version", ""),
+        "computed": attributes.get("created", ""),
+        "scenario SHA-256": attributes.get("scenario_sha256", ""),
+        "seeds": f"{seeds[0]} to {seeds[-1]}" if seeds else "",
+        "Python": attributes.get("python_version", ""),
+        "libraries": ", ".join(f"{name} {version}" for name, version in libraries.items()),
+        "platform": attributes.get("platform", ""),
+        "processor": attributes.get("processor", ""),
+        "schema of results.nc": attributes.get("schema_version", ""),
+    }
+    cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows.items())
+    return f'<div class="scroll"><table>{cells}</table></div>'
