@@ -1,0 +1,5 @@
+"""``python -m aerotube`` is the command ``aerotube``."""
+
+from aerotube.cli import app
+
+app()
