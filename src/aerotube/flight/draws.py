@@ -6,7 +6,7 @@ whatever other seeds, runs, horizon, options or workers are asked for, and every
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -112,13 +112,19 @@ class Draws:
             generator.standard_normal(out=out[run])
         return out
 
-    def _generators(self, purpose: int) -> Iterable[np.random.Generator]:
-        # One key for each seed and purpose, and the run in the counter's upper half: streams that never meet,
-        # and a tenth of the cost of hashing a seed for every run.
+    def _generators(self, purpose: int) -> Iterator[np.random.Generator]:
+        """One generator, set to the stream of each run in turn."""
         for seed in self.seeds:
+            # One key for each seed and purpose, and the run in the counter's upper half: streams that never meet.
+            # Setting the counter of one generator costs a fifteenth of making a generator for every run.
             key = np.random.SeedSequence(seed, spawn_key=(purpose,)).generate_state(2, np.uint64)
+            stream = np.random.Philox(key=key)
+            generator = np.random.Generator(stream)
+            fresh = stream.state
             for run in range(self.runs_per_seed):
-                yield np.random.Generator(np.random.Philox(key=key, counter=[0, 0, run, 0]))
+                fresh["state"]["counter"][:] = 0, 0, run, 0
+                stream.state = fresh
+                yield generator
 
 
 def draw(
