@@ -185,17 +185,17 @@ def test_signs_of_the_controls():
 
 
 def test_smooth_and_linear_tables_are_one_aircraft():
-    """They agree at the nodes, and between them differ by less than the tables' own second differences."""
+    """Through the same nodes: nowhere inside the tables do they part by more than a tenth of a coefficient's range."""
     linear, smooth = (aerodynamic_tables(name) for name in INTERPOLATIONS)
     random = np.random.default_rng(6)
-    attack, sideslip, elevator = random.uniform([-10, -30, -20], [45, 30, 20], (400, 3)).T * DEG
+    attack, sideslip, elevator = random.uniform([-10, -30, -20], [45, 30, 20], (2000, 3)).T * DEG
     still = (0.0, 0.0, 0.0)
-    pair = [
+    one, other = (
         np.array(coefficients(tables, (200.0, attack, sideslip), still, (elevator, 0, 0.2, 0.3), 0.0))
         for tables in (linear, smooth)
-    ]
-    worst = np.abs(pair[0] - pair[1]).max(axis=1)
-    assert np.all(worst <= [0.03, 1e-12, 0.05, 0.03, 0.06, 0.03])
+    )
+    assert np.all(np.abs(one - other).max(axis=1) < 0.1 * np.ptp(one, axis=1))
+    assert other[1] == pytest.approx(one[1], abs=1e-12), "at rest the side force needs no table"
 
 
 @given(
