@@ -27,7 +27,7 @@ def variances(gust):
     ]
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(CASES)
 def test_stationary_covariance_is_the_integral_of_the_published_spectra(gust):
     np.testing.assert_allclose(np.diag(gust.covariance()), variances(gust), rtol=1e-5, atol=1e-16)

@@ -90,7 +90,8 @@ def test_the_baseline_is_hard_to_beat_and_the_filter_helps_it(table2, linear):
 
     def error(noise, estimator):
         arguments = (table2.aircraft, table2.nominal)
-        law = best_lqr(*arguments, linear, EULER, draws, noise=noise, estimator=estimator, seeds=1).law
+        sweep = {"control_weights": (1e-3, 1e-2), "noise_weights": (0.0, 4.0), "seeds": 1}
+        law = best_lqr(*arguments, linear, EULER, draws, noise=noise, estimator=estimator, **sweep).law
         flights = simulate(*arguments, law, draws, noise=noise, estimator=estimator)
         assert not flights.diverged
         return flights.mean_upper_error().mean()

@@ -26,8 +26,8 @@ from aerotube.tube.shapes import cost_to_go, tracking_weights
 Array = NDArray[np.float64]
 
 #: The sweep of :func:`best_lqr`: weights of the controls and of the noise.
-CONTROL_WEIGHTS = (1e-3, 1e-2, 1e-1, 1.0)
-NOISE_WEIGHTS = (0.0, 1.0, 2.0, 4.0)
+CONTROL_WEIGHTS = (1e-4, 1e-3, 1e-2, 1e-1)
+NOISE_WEIGHTS = (0.0, 1.0, 2.0, 4.0, 8.0)
 
 
 def time_varying_lqr(

@@ -180,6 +180,23 @@ def simulate(
         raise InputError(f"simulation: the number of substeps must be at least 1; got {substeps}.")
     if estimator is not None and estimator.nominal.beats < nominal.beats:
         raise InputError("estimator: it was designed for a shorter nominal; design it for the one that is flown.")
+    sensor = noise * draws.measurement_noise(nominal.beats) if law is not None and noise > 0 else None
+    air = None if gusts is None else gusts.sample(draws.gust_noise(nominal.beats, CHANNELS), nominal.dt)
+    filtered = None if law is None or estimator is None else _Filtered(estimator, draws.runs)
+    return _fly(plant, nominal, law, draws, sensor, filtered, air, substeps)
+
+
+def _fly(
+    plant: Aircraft,
+    nominal: Nominal,
+    law: Law | None,
+    draws: Draws,
+    sensor: Array | None,
+    filtered: _Filtered | None,
+    air: Array | None,
+    substeps: int,
+) -> Flights:
+    """Fly all runs, beat by beat; noise of the sensor (run, beat, 8) and wind (run, beat, 6) are given."""
     beats, runs = nominal.beats, draws.runs
     start = _start_state(plant, nominal)
     state = _EULER.retract(start, draws.initial_error)
@@ -190,9 +207,6 @@ def simulate(
     outside = ~plant.in_domain(state)
     lost = np.zeros(runs, bool)
     diverged: list[Divergence] = []
-    sensor = noise * draws.measurement_noise(beats) if law is not None and noise > 0 else None
-    air = None if gusts is None else gusts.sample(draws.gust_noise(beats, CHANNELS), nominal.dt)
-    filtered = None if law is None or estimator is None else _Filtered(estimator, runs)
 
     # A run that diverges may overflow on its way out; it is caught and named right after the step.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -305,6 +319,9 @@ class _Filtered:
 
     def predict(self, beat: int, control: Array) -> None:
         self._estimate = self._estimator.predict(beat, self._estimate, control)
+        # An estimate that overflowed would never come back; the next measurement starts it afresh.
+        self.restart(np.asarray(~np.isfinite(self._estimate.error).all(axis=-1)))
 
     def restart(self, runs: NDArray[np.bool_]) -> None:
-        self._estimate = self._estimator.restart(self._estimate, runs)
+        if runs.any():
+            self._estimate = self._estimator.restart(self._estimate, runs)
