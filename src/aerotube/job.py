@@ -45,8 +45,11 @@ class Prepared:
     source : scenario.Source
     plant : Aircraft
         The aircraft that flies.
+    rigid : Aircraft
+        The same without engine lag: of the nominal and of the estimator, which would take any other reading of
+        the tables for an error of the measurement.
     model : Aircraft
-        What laws and estimator are computed on.
+        What the laws are computed on.
     nominal : nominal.Nominal
     disturbance : DisturbanceBox
     draws : flight.Draws
@@ -58,6 +61,7 @@ class Prepared:
 
     source: scenario.Source
     plant: Aircraft
+    rigid: Aircraft
     model: Aircraft
     nominal: nominal.Nominal
     disturbance: DisturbanceBox
@@ -109,7 +113,7 @@ def prepare(source: scenario.Source) -> Prepared:
     settings: dict[str, compensation.SynthesisSettings] = {
         key: compensation.SynthesisSettings(**chosen.synthesis.setting(key)) for key in _SETTINGS
     }
-    return Prepared(source, plant, model, reference, box, draws, settings, _gusts(source, reference))
+    return Prepared(source, plant, rigid, model, reference, box, draws, settings, _gusts(source, reference))
 
 
 def _gusts(source: scenario.Source, reference: nominal.Nominal) -> flight.Dryden | None:
@@ -156,14 +160,18 @@ def make_nominal(source: scenario.Source, aircraft: Aircraft) -> nominal.Nominal
 
 
 def _check_controls(aircraft: Aircraft, control: Array) -> None:
-    for name, value, low, high in zip(
-        aircraft.control_names, control, aircraft.control_lower, aircraft.control_upper, strict=True
-    ):
-        if not low <= value <= high:
-            unit = "" if not DISPLAY[name].unit else f" {DISPLAY[name].unit}"
+    """Name a control beyond its limits by its key and in its unit of the scenario."""
+    tolerance = 1e-9
+    for i, name in enumerate(aircraft.control_names):
+        low, high = aircraft.control_lower[i], aircraft.control_upper[i]
+        if not low - tolerance <= control[i] <= high + tolerance:
+            display = DISPLAY[name]
+            # Adding zero turns the limit -0 into 0.
+            value, least, most = (display.factor * x + 0.0 for x in (control[i], low, high))
             raise InputError(
-                f"nominal.control.{name} is {DISPLAY[name].factor * value:g}{unit}, beyond its limits of "
-                f"{DISPLAY[name].factor * low:g} to {DISPLAY[name].factor * high:g}{unit}; choose a value within them"
+                f"nominal.control.{name} is {value:g} {display.unit}".rstrip()
+                + f", beyond its limits of {least:g} to {most:g} {display.unit}".rstrip()
+                + "; choose a value within them"
             )
 
 
@@ -353,8 +361,8 @@ class _Flights:
         self._alone: Case | None = None
 
     def setting(self, condition: str) -> str:
-        """Which setting of the synthesis is flown in a condition."""
-        return "noise_free" if condition == CALM else "noise"
+        """Which setting of the synthesis is flown in a condition; the estimator takes the noise away."""
+        return "noise" if condition == NOISE else "noise_free"
 
     def fly(self, controller: str, condition: str) -> Case:
         """Fly one controller in one condition."""
@@ -399,7 +407,7 @@ class _Flights:
             return self.laws[key].law, f"law of the {_words(key)} setting"
         coordinates = ErrorCoordinates("relative")
         sweep = flight.best_lqr(
-            self.prepared.model,
+            self.prepared.rigid,
             self.prepared.nominal,
             linearise(self.prepared.model, self.prepared.nominal, coordinates),
             coordinates,
@@ -420,7 +428,7 @@ class _Flights:
         if self._filter is None:
             disturbance = self.chosen.disturbance
             self._filter = flight.extended_kalman_filter(
-                self.prepared.model,
+                self.prepared.rigid,
                 self.prepared.nominal,
                 disturbance.half_widths,
                 self.chosen.flight.noise,

@@ -163,7 +163,7 @@ class Synthesis(Setting):
     """How the laws are computed: common keys, and two settings of them."""
 
     algorithm: Literal["decoupled", "coupled"] = "decoupled"
-    backend: str = "clarabel"
+    backend: Literal["aerotube", "clarabel"] = "clarabel"
     noise_free: Setting = Setting()
     noise: Setting = Setting()
 
@@ -187,7 +187,7 @@ class Lqr(_Section):
     """The sweep of the baseline."""
 
     control_weights: list[Annotated[float, Field(gt=0.0)]] = Field(default=[0.001, 0.01, 0.1, 1.0], min_length=1)
-    noise_weights: list[Annotated[float, Field(ge=0.0)]] = Field(default=[0.0, 1.0, 2.0, 4.0], min_length=1)
+    noise_weights: list[Annotated[float, Field(ge=0.0)]] = Field(default=[0.0, 2.0, 4.0, 8.0], min_length=1)
     seeds: int = Field(default=3, ge=1)
 
 
