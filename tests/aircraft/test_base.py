@@ -69,6 +69,7 @@ def test_virtual_controls_are_the_controls_unless_said_otherwise():
     assert upper == pytest.approx(glider.control_upper - control, abs=1e-15)
     assert glider.realise(state, control, 10.0 * np.ones(4)) == pytest.approx(glider.control_upper, abs=0)
     assert glider.settled(tuple(control)) == ()
+    assert glider.compiled_step() is None
 
 
 def test_domain():

@@ -1,3 +1,5 @@
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -10,25 +12,10 @@ from aerotube.aircraft.f16 import INERTIA, MASS
 from aerotube.aircraft.f16_aerodynamics import CHORD, SPAN, WING_AREA, aerodynamic_tables, coefficients
 from aerotube.aircraft.rigid_body import velocity_from_flow
 from aerotube.errors import InputError
-from aerotube.numerics import quaternion_from_euler
+from tests.aircraft.samples import DEG, states
 
 INTERPOLATIONS = ["linear", "smooth"]
 AIRCRAFT = {name: F16(interpolation=name) for name in INTERPOLATIONS}
-DEG = np.pi / 180.0
-
-
-def states(count, seed=0):
-    """Random flight inside the tables, (count, 13), and controls (count, 4)."""
-    random = np.random.default_rng(seed)
-
-    def draw(low, high):
-        return random.uniform(low, high, count)
-
-    velocity = velocity_from_flow(draw(120, 280), draw(-8, 40) * DEG, draw(-25, 25) * DEG)
-    attitude = quaternion_from_euler(draw(-3, 3), draw(-1.5, 1.5), draw(-3, 3))
-    place = (*random.uniform(-1, 1, (5, count)), draw(500, 12000))
-    control = np.stack([draw(-20, 20) * DEG, draw(0, 1), draw(-20, 20) * DEG, draw(-30, 30) * DEG], axis=-1)
-    return np.stack([*velocity, *attitude, *place], axis=-1), control
 
 
 def test_nominal_numbers_in_si():
@@ -245,6 +232,21 @@ def test_domain_violation_says_what_and_where():
 def test_bad_options_are_refused(options, message):
     with pytest.raises(InputError, match=message):
         F16(**options)
+
+
+def test_an_aircraft_travels_to_other_processes_and_tells_what_it_is():
+    aircraft = F16(xcg=0.33, interpolation="smooth", engine_lag=True)
+    again = pickle.loads(pickle.dumps(aircraft))
+    assert repr(again) == repr(aircraft)
+    assert "xcg=0.33, interpolation='smooth'" in repr(again)
+    state, control = states(3, seed=8)
+    state = np.column_stack([state, [20.0, 50.0, 80.0]])
+    assert np.array_equal(state_derivatives(again, state, control), state_derivatives(aircraft, state, control))
+
+
+def test_shared_limits_cannot_be_changed_in_place():
+    with pytest.raises(ValueError, match="read-only"):
+        F16().control_upper[0] = 1.0
 
 
 def test_bad_shapes_are_refused():

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aerotube.aircraft.compiled import Step
 from aerotube.errors import InputError
 
 Array = NDArray[np.float64]
@@ -19,6 +20,13 @@ RIGID_BODY_UNITS = ("m/s", "m/s", "m/s", "1", "1", "1", "1", "rad/s", "rad/s", "
 CONTROLS = ("elevator", "throttle", "aileron", "rudder")
 
 STILL_AIR = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def frozen(values: ArrayLike) -> Array:
+    """The values as an array that cannot be changed in place, fit to be shared by all aircraft of a class."""
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
 
 
 class Range(NamedTuple):
@@ -53,7 +61,7 @@ class Aircraft(ABC):
     control_lower: Array
     control_upper: Array
     parameter_names: tuple[str, ...] = ("inverse_mass",)
-    parameter_nominal: Array = np.ones(1)
+    parameter_nominal: Array = frozen([1.0])
     domain: tuple[Range, ...] = ()
     gravity: float = 9.80665  # m/s2
 
@@ -149,6 +157,17 @@ class Aircraft(ABC):
     def settled(self, control: Sequence[Any]) -> Components:
         """Values at which the states beyond the thirteen rest under a control; none unless an aircraft adds some."""
         return ()
+
+    def compiled_step(self) -> Step | None:
+        """A step compiled to machine code, for real-time use; None where an aircraft has none.
+
+        Returns
+        -------
+        callable or None
+            ``step(states (runs, n), controls (runs, m), parameters (runs, p), wind (runs, 6), dt, substeps)`` to
+            states (runs, n); see `aerotube.aircraft.compiled.compiled_step`, which makes it.
+        """
+        return None
 
     def domain_values(self, state: Sequence[Any]) -> Components:
         """The quantities that `domain` bounds, in its order and units, from the components of states."""

@@ -26,8 +26,10 @@ from aerotube.aircraft.base import (
     Array,
     Components,
     Range,
+    frozen,
     split,
 )
+from aerotube.aircraft.compiled import Step, compiled_step
 from aerotube.aircraft.f16_aerodynamics import (
     CHORD,
     REFERENCE_CENTRE,
@@ -134,6 +136,22 @@ def lagging_rates(
     return (*rates, power_rate(power, power_from_throttle(control[1])))
 
 
+@register_jitable
+def quick_step_rates(
+    airframe: Airframe, state: Components, control: Components, parameters: Components, wind: Components
+) -> Components:
+    """`settled_rates` as a compiled step takes them."""
+    return settled_rates(airframe, state, control, 0.0, parameters[0], wind)
+
+
+@register_jitable
+def lagging_step_rates(
+    airframe: Airframe, state: Components, control: Components, parameters: Components, wind: Components
+) -> Components:
+    """`lagging_rates` as a compiled step takes them."""
+    return lagging_rates(airframe, state, control, parameters[0], wind)
+
+
 class F16(Aircraft):
     """Low-fidelity F-16.
 
@@ -161,8 +179,8 @@ class F16(Aircraft):
 
     name = "f16"
     gravity = GRAVITY
-    control_lower = -np.deg2rad([20.0, 0.0, 21.5, 30.0])
-    control_upper = np.array([np.deg2rad(20.0), 1.0, np.deg2rad(21.5), np.deg2rad(30.0)])
+    control_lower = frozen([-np.deg2rad(20.0), 0.0, -np.deg2rad(21.5), -np.deg2rad(30.0)])
+    control_upper = frozen([np.deg2rad(20.0), 1.0, np.deg2rad(21.5), np.deg2rad(30.0)])
 
     domain = (
         Range("angle of attack", "deg", -10.0, 45.0),
@@ -198,6 +216,12 @@ class F16(Aircraft):
         if self.engine_lag:
             self.state_names = (*RIGID_BODY_STATES, "power")
             self.state_units = (*RIGID_BODY_UNITS, "percent")
+
+    def __repr__(self) -> str:
+        return (
+            f"F16(xcg={self.xcg}, interpolation={self.interpolation!r}, "
+            f"engine_momentum={self.airframe.engine_momentum:.6g}, engine_lag={self.engine_lag})"
+        )
 
     @property
     def virtual_names(self) -> tuple[str, ...]:
@@ -269,6 +293,11 @@ class F16(Aircraft):
     def settled(self, control: Sequence[Any]) -> Components:
         """Power (percent) at which the lagging engine rests; nothing without engine lag."""
         return (power_from_throttle(control[1]),) if self.engine_lag else ()
+
+    def compiled_step(self) -> Step:
+        """A step compiled to machine code; see `Aircraft.compiled_step`."""
+        rates = lagging_step_rates if self.engine_lag else quick_step_rates
+        return compiled_step(rates, self.airframe, len(self.state_names), 4, 1)
 
     def domain_values(self, state: Sequence[Any]) -> Components:
         """Attack and sideslip (deg), Mach number, altitude (m), and by how much military thrust exceeds idle (N)."""

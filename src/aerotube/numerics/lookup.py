@@ -8,7 +8,7 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from aerotube.numerics.table_kernels import evaluate1, evaluate2, expand1, expand2
+from aerotube.numerics.table_kernels import evaluate1, evaluate2, expand1, expand2, point1, point2
 from aerotube.numerics.tables import Table1, Table2
 from aerotube.numerics.taylor import Taylor
 
@@ -31,7 +31,7 @@ def lookup1(table: Table1, x: Any) -> Any:
     if isinstance(x, Taylor):
         return _expand1(table, x)
     points = np.asarray(x, dtype=np.float64)
-    values = np.empty((table.coefficients.shape[1], points.size))
+    values = np.empty((table.outputs, points.size))
     evaluate1(table, _flat(points), values)
     return values.reshape(values.shape[:1] + points.shape)
 
@@ -53,7 +53,7 @@ def lookup2(table: Table2, x: Any, y: Any) -> Any:
     if isinstance(x, Taylor) or isinstance(y, Taylor):
         return _expand2(table, x, y)
     first, second = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-    values = np.empty((table.coefficients.shape[2], first.size))
+    values = np.empty((table.outputs, first.size))
     evaluate2(table, _flat(first), _flat(second), values)
     return values.reshape(values.shape[:1] + first.shape)
 
@@ -61,9 +61,9 @@ def lookup2(table: Table2, x: Any, y: Any) -> Any:
 @overload(lookup1)
 def _lookup1_compiled(table: Any, x: Any) -> Any:
     def lookup(table: Any, x: Any) -> Any:
-        values = np.empty((table.coefficients.shape[1], 1))
-        evaluate1(table, np.array([x]), values)
-        return values[:, 0]
+        values = np.empty(table.outputs)
+        point1(table, x, values)
+        return values
 
     return lookup
 
@@ -71,9 +71,9 @@ def _lookup1_compiled(table: Any, x: Any) -> Any:
 @overload(lookup2)
 def _lookup2_compiled(table: Any, x: Any, y: Any) -> Any:
     def lookup(table: Any, x: Any, y: Any) -> Any:
-        values = np.empty((table.coefficients.shape[2], 1))
-        evaluate2(table, np.array([x]), np.array([y]), values)
-        return values[:, 0]
+        values = np.empty(table.outputs)
+        point2(table, x, y, values)
+        return values
 
     return lookup
 
@@ -84,7 +84,7 @@ def _flat(points: Array) -> Array:
 
 def _expand1(table: Table1, x: Taylor) -> tuple[Taylor, ...]:
     points, order = np.asarray(x.value), x.space.order
-    series = np.empty((points.size, table.coefficients.shape[1], order + 1))
+    series = np.empty((points.size, table.outputs, order + 1))
     expand1(table, _flat(points), series)
     series = series.reshape(*points.shape, *series.shape[1:])
     powers = [x.space.constant(np.ones(points.shape)), x - points]
@@ -98,7 +98,7 @@ def _expand2(table: Table2, x: Any, y: Any) -> tuple[Taylor, ...]:
     first, second = (z if isinstance(z, Taylor) else space.constant(z) for z in (x, y))
     at_x, at_y = np.broadcast_arrays(first.value, second.value)
     order = space.order
-    series = np.empty((at_x.size, table.coefficients.shape[2], order + 1, order + 1))
+    series = np.empty((at_x.size, table.outputs, order + 1, order + 1))
     expand2(table, _flat(at_x), _flat(at_y), series)
     series = series.reshape(*at_x.shape, *series.shape[1:])
 

@@ -1,4 +1,4 @@
-"""Compiled evaluation and expansion of tables at many points."""
+"""Compiled evaluation and expansion of tables."""
 
 from __future__ import annotations
 
@@ -6,76 +6,107 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from aerotube.numerics.tables import Axis, Table1, Table2
+from aerotube.numerics.tables import Table1, Table2
 
 Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)
-def cell_of(axis: Axis, x: float) -> int:
-    """Index of the cell that holds x; 0 where x is not a number."""
-    last = axis.boundaries.size
+def cell_of(data: Array, start: int, cells: int, inverse_step: float, x: float) -> int:
+    """Index of the cell that holds x, its boundaries starting at `start`; 0 where x is not a number."""
+    last = cells - 1
     if last == 0:
         return 0
-    guess = (x - axis.boundaries[0]) * axis.inverse_step + 1.0
+    guess = (x - data[start]) * inverse_step + 1.0
     if not guess > 0.0:
         index = 0
     elif guess >= last:
         index = last
     else:
         index = int(guess)
-    while index > 0 and x < axis.boundaries[index - 1]:
+    while index > 0 and x < data[start + index - 1]:
         index -= 1
-    while index < last and x >= axis.boundaries[index]:
+    while index < last and x >= data[start + index]:
         index += 1
     return index
 
 
 @njit(cache=True, nogil=True)
+def locate1(table: Table1, x: float) -> tuple[int, float]:
+    """Where in the table's row the cell's coefficients (outputs, powers) start, and x relative to its origin."""
+    cell = cell_of(table.data, 0, table.cells, table.inverse_step, x)
+    start = 2 * table.cells - 1 + cell * table.outputs * table.powers
+    return start, x - table.data[table.cells - 1 + cell]
+
+
+@njit(cache=True, nogil=True)
+def locate2(table: Table2, x: float, y: float) -> tuple[int, float, float]:
+    """Where in the table's row the cell's coefficients (outputs, powers of x, of y) start, and x, y in the cell."""
+    start_y = 2 * table.cells_x - 1
+    cell_x = cell_of(table.data, 0, table.cells_x, table.inverse_step_x, x)
+    cell_y = cell_of(table.data, start_y, table.cells_y, table.inverse_step_y, y)
+    size = table.outputs * table.powers_x * table.powers_y
+    start = start_y + 2 * table.cells_y - 1 + (cell_x * table.cells_y + cell_y) * size
+    local_x = x - table.data[table.cells_x - 1 + cell_x]
+    local_y = y - table.data[start_y + table.cells_y - 1 + cell_y]
+    return start, local_x, local_y
+
+
+@njit(cache=True, nogil=True)
+def point1(table: Table1, x: float, values: Array) -> None:
+    """Write the outputs (outputs,) at one point."""
+    data, powers = table.data, table.powers
+    start, local = locate1(table, x)
+    for output in range(table.outputs):
+        last = start + (output + 1) * powers - 1
+        value = data[last]
+        for power in range(1, powers):
+            value = value * local + data[last - power]
+        values[output] = value
+
+
+@njit(cache=True, nogil=True)
+def point2(table: Table2, x: float, y: float, values: Array) -> None:
+    """Write the outputs (outputs,) at one point."""
+    data, powers_x, powers_y = table.data, table.powers_x, table.powers_y
+    start, local_x, local_y = locate2(table, x, y)
+    last = start - 1
+    for output in range(table.outputs):
+        last += powers_x * powers_y
+        value = 0.0
+        for i in range(powers_x):
+            row = last - i * powers_y
+            inner = data[row]
+            for j in range(1, powers_y):
+                inner = inner * local_y + data[row - j]
+            value = value * local_x + inner
+        values[output] = value
+
+
+@njit(cache=True, nogil=True)
 def evaluate1(table: Table1, x: Array, values: Array) -> None:
     """Write the outputs (outputs, points) at the points x (points,)."""
-    outputs, powers = table.coefficients.shape[1:]
     for point in range(x.size):
-        cell = cell_of(table.x, x[point])
-        local = x[point] - table.x.origins[cell]
-        for output in range(outputs):
-            value = table.coefficients[cell, output, powers - 1]
-            for power in range(powers - 2, -1, -1):
-                value = value * local + table.coefficients[cell, output, power]
-            values[output, point] = value
+        point1(table, x[point], values[:, point])
 
 
 @njit(cache=True, nogil=True)
 def evaluate2(table: Table2, x: Array, y: Array, values: Array) -> None:
     """Write the outputs (outputs, points) at the points (x, y), each (points,)."""
-    outputs, powers_x, powers_y = table.coefficients.shape[2:]
     for point in range(x.size):
-        cell_x, cell_y = cell_of(table.x, x[point]), cell_of(table.y, y[point])
-        local_x = x[point] - table.x.origins[cell_x]
-        local_y = y[point] - table.y.origins[cell_y]
-        pieces = table.coefficients[cell_x, cell_y]
-        for output in range(outputs):
-            value = 0.0
-            for i in range(powers_x - 1, -1, -1):
-                inner = pieces[output, i, powers_y - 1]
-                for j in range(powers_y - 2, -1, -1):
-                    inner = inner * local_y + pieces[output, i, j]
-                value = value * local_x + inner
-            values[output, point] = value
+        point2(table, x[point], y[point], values[:, point])
 
 
 @njit(cache=True, nogil=True)
 def expand1(table: Table1, x: Array, series: Array) -> None:
     """Write the local Taylor coefficients (points, outputs, order + 1) at the points x (points,)."""
-    outputs, powers = table.coefficients.shape[1:]
-    order = series.shape[2] - 1
+    powers, order = table.powers, series.shape[2] - 1
     work = np.empty(powers)
     for point in range(x.size):
-        cell = cell_of(table.x, x[point])
-        local = x[point] - table.x.origins[cell]
-        for output in range(outputs):
+        start, local = locate1(table, x[point])
+        for output in range(table.outputs):
             for i in range(powers):
-                work[i] = table.coefficients[cell, output, i]
+                work[i] = table.data[start + output * powers + i]
             shift_polynomial(work, local)
             for power in range(order + 1):
                 series[point, output, power] = work[power] if power < powers else 0.0
@@ -84,17 +115,14 @@ def expand1(table: Table1, x: Array, series: Array) -> None:
 @njit(cache=True, nogil=True)
 def expand2(table: Table2, x: Array, y: Array, series: Array) -> None:
     """Write the local Taylor coefficients (points, outputs, order + 1, order + 1) at the points (x, y)."""
-    outputs, powers_x, powers_y = table.coefficients.shape[2:]
-    order = series.shape[2] - 1
+    powers_x, powers_y, order = table.powers_x, table.powers_y, series.shape[2] - 1
     work, along_x, along_y = np.empty((powers_x, powers_y)), np.empty(powers_x), np.empty(powers_y)
     for point in range(x.size):
-        cell_x, cell_y = cell_of(table.x, x[point]), cell_of(table.y, y[point])
-        local_x = x[point] - table.x.origins[cell_x]
-        local_y = y[point] - table.y.origins[cell_y]
-        for output in range(outputs):
+        start, local_x, local_y = locate2(table, x[point], y[point])
+        for output in range(table.outputs):
             for i in range(powers_x):
                 for j in range(powers_y):
-                    along_y[j] = table.coefficients[cell_x, cell_y, output, i, j]
+                    along_y[j] = table.data[start + (output * powers_x + i) * powers_y + j]
                 shift_polynomial(along_y, local_y)
                 for j in range(powers_y):
                     work[i, j] = along_y[j]

@@ -40,18 +40,59 @@ class Axis(NamedTuple):
 
 
 class Table1(NamedTuple):
-    """Functions of one variable; make it with `table1` or `stack1`."""
+    """Functions of one variable; make it with `table1` or `stack1`.
 
-    x: Axis
-    coefficients: Array  # (cells, outputs, power of x)
+    All its numbers lie in one row, so that compiled code has few arrays to hand about: the cells' boundaries and
+    origins, then the coefficients.
+    """
+
+    data: Array
+    cells: int
+    outputs: int
+    powers: int
+    inverse_step: float
+
+    @property
+    def x(self) -> Axis:
+        """The cells."""
+        return _axis_in(self.data, 0, self.cells, self.inverse_step)
+
+    @property
+    def coefficients(self) -> Array:
+        """Local polynomials (cells, outputs, power of x)."""
+        return self.data[2 * self.cells - 1 :].reshape(self.cells, self.outputs, self.powers)
 
 
 class Table2(NamedTuple):
-    """Functions of two variables; make it with `table2` or `stack2`."""
+    """Functions of two variables; make it with `table2` or `stack2`.
 
-    x: Axis
-    y: Axis
-    coefficients: Array  # (cells of x, cells of y, outputs, power of x, power of y)
+    All its numbers lie in one row: boundaries and origins of the cells of x, those of y, then the coefficients.
+    """
+
+    data: Array
+    cells_x: int
+    cells_y: int
+    outputs: int
+    powers_x: int
+    powers_y: int
+    inverse_step_x: float
+    inverse_step_y: float
+
+    @property
+    def x(self) -> Axis:
+        """The cells of the first variable."""
+        return _axis_in(self.data, 0, self.cells_x, self.inverse_step_x)
+
+    @property
+    def y(self) -> Axis:
+        """The cells of the second variable."""
+        return _axis_in(self.data, 2 * self.cells_x - 1, self.cells_y, self.inverse_step_y)
+
+    @property
+    def coefficients(self) -> Array:
+        """Local polynomials (cells of x, cells of y, outputs, power of x, power of y)."""
+        shape = (self.cells_x, self.cells_y, self.outputs, self.powers_x, self.powers_y)
+        return self.data[2 * (self.cells_x + self.cells_y) - 2 :].reshape(shape)
 
 
 def table1(x: ArrayLike, values: ArrayLike, interpolation: Interpolation = "linear") -> Table1:
@@ -73,7 +114,7 @@ def table1(x: ArrayLike, values: ArrayLike, interpolation: Interpolation = "line
     nodes = _breakpoints(x, interpolation)
     data = _values(values, (nodes.size,))
     axis, pieces = _pieces(nodes, data.T, interpolation)  # (cells, power, outputs)
-    return Table1(axis, np.ascontiguousarray(pieces.transpose(0, 2, 1)))
+    return _packed1(axis, pieces.transpose(0, 2, 1))
 
 
 def table2(x: ArrayLike, y: ArrayLike, values: ArrayLike, interpolation: Interpolation = "linear") -> Table2:
@@ -96,21 +137,38 @@ def table2(x: ArrayLike, y: ArrayLike, values: ArrayLike, interpolation: Interpo
     data = _values(values, (nodes_x.size, nodes_y.size))
     axis_x, along_x = _pieces(nodes_x, data.transpose(1, 0, 2), interpolation)  # (cx, px, outputs, ny)
     axis_y, both = _pieces(nodes_y, np.moveaxis(along_x, -1, 0), interpolation)  # (cy, py, cx, px, outputs)
-    return Table2(axis_x, axis_y, np.ascontiguousarray(both.transpose(2, 0, 4, 3, 1)))
+    return _packed2(axis_x, axis_y, both.transpose(2, 0, 4, 3, 1))
 
 
 def stack1(tables: Sequence[Table1]) -> Table1:
     """One table with the outputs of all, over the union of their cells; no value changes."""
     axis = _union([table.x for table in tables])
     refined = [_refine(table.coefficients, table.x, axis, 0, 2) for table in tables]
-    return Table1(axis, np.ascontiguousarray(np.concatenate(_padded(refined, (2,)), axis=1)))
+    return _packed1(axis, np.concatenate(_padded(refined, (2,)), axis=1))
 
 
 def stack2(tables: Sequence[Table2]) -> Table2:
     """One table with the outputs of all, over the union of their cells; no value changes."""
     x, y = _union([table.x for table in tables]), _union([table.y for table in tables])
     refined = [_refine(_refine(table.coefficients, table.x, x, 0, 3), table.y, y, 1, 4) for table in tables]
-    return Table2(x, y, np.ascontiguousarray(np.concatenate(_padded(refined, (3, 4)), axis=2)))
+    return _packed2(x, y, np.concatenate(_padded(refined, (3, 4)), axis=2))
+
+
+def _packed1(x: Axis, coefficients: Array) -> Table1:
+    data = np.concatenate([x.boundaries, x.origins, coefficients.ravel()])
+    cells, outputs, powers = coefficients.shape
+    return Table1(data, cells, outputs, powers, x.inverse_step)
+
+
+def _packed2(x: Axis, y: Axis, coefficients: Array) -> Table2:
+    data = np.concatenate([x.boundaries, x.origins, y.boundaries, y.origins, coefficients.ravel()])
+    cells_x, cells_y, outputs, powers_x, powers_y = coefficients.shape
+    return Table2(data, cells_x, cells_y, outputs, powers_x, powers_y, x.inverse_step, y.inverse_step)
+
+
+def _axis_in(data: Array, start: int, cells: int, inverse_step: float) -> Axis:
+    middle = start + cells - 1
+    return Axis(data[start:middle], data[middle : middle + cells], inverse_step)
 
 
 def _breakpoints(x: ArrayLike, interpolation: str) -> Array:
@@ -155,11 +213,7 @@ def _pieces(nodes: Array, values: Array, interpolation: str) -> tuple[Axis, Arra
 
 def _axis(boundaries: Array, origins: Array) -> Axis:
     span = boundaries[-1] - boundaries[0] if boundaries.size > 1 else 0.0
-    return Axis(
-        np.ascontiguousarray(boundaries),
-        np.ascontiguousarray(origins),
-        (boundaries.size - 1) / span if span > 0.0 else 0.0,
-    )
+    return Axis(boundaries, origins, float((boundaries.size - 1) / span) if span > 0.0 else 0.0)
 
 
 def _union(axes: Sequence[Axis]) -> Axis:
