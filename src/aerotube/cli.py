@@ -160,14 +160,14 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from aerotube.results import CONDITION_WORDS, CONTROLLER_WORDS, KEY_SUFFIX
+    from aerotube.results import CONTROLLER_WORDS, KEY_SUFFIX
 
     console = Console(highlight=False)
     table = Table(title="Mean upper error (Eq. 18, deg), mean over seeds ± sd", title_justify="left", box=SIMPLE_HEAD)
     table.add_column("", no_wrap=True)
     shown = {c: s for c, s in KEY_SUFFIX.items() if summary[f"mean_upper_error{s}"]["none"]["mean"] is not None}
     for condition in shown:
-        table.add_column(CONDITION_WORDS[condition], justify="right", no_wrap=True)
+        table.add_column(condition, justify="right", no_wrap=True)
     for controller, words in CONTROLLER_WORDS.items():
         table.add_row(words, *(_spread(summary[f"mean_upper_error{s}"][controller], 1.0, 3) for s in shown.values()))
     table.add_section()

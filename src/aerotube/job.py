@@ -349,6 +349,12 @@ def _design(
         settings=prepared.source.scenario.synthesis.setting(key),
     )
     record.problems.extend(f"{_words(key)} law, {message}" for message in made.messages)
+    for index, part in enumerate(tubes.parts):
+        sizes = np.stack([tubes.terminal_rho[:, index], tubes.nominal_rho[:, index]])
+        unknown = np.flatnonzero(~np.isfinite(sizes).all(axis=0))
+        if unknown.size:
+            beats = ", ".join(map(str, unknown))
+            record.problems.append(f"{_words(key)} law, {part.name}: no tube was found for beat {beats}")
 
 
 class _Flights:

@@ -154,10 +154,14 @@ def test_the_written_dataset_holds_what_the_metric_says(finished):
     assert json.loads(dataset.attrs["scenario_overrides"])["draws.runs"] == 3
 
 
-def test_the_report_is_drawn_again_from_the_results(capsys, finished, tmp_path):
-    code, _, _ = aerotube(capsys, "report", finished[1] / "results.nc", "--out", tmp_path)
+def test_the_report_is_drawn_again_from_the_results(capsys, finished, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("aerotube.report.write", lambda dataset, folder: drawn.append((dataset, folder)))
+    code, _, _ = aerotube(capsys, "report", finished[1] / "results.nc", "--out", tmp_path / "new")
     assert code == 0
-    assert (tmp_path / "report.html").exists()
+    [(dataset, folder)] = drawn
+    assert dataset.identical(results.read(finished[1] / "results.nc"))
+    assert folder == tmp_path / "new"
 
 
 def test_results_that_are_not_there_cannot_be_drawn(capsys, tmp_path):

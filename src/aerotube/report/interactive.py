@@ -14,7 +14,13 @@ from aerotube.units import DISPLAY
 if TYPE_CHECKING:
     import xarray as xr
 
-_CONFIG = {"displaylogo": False, "responsive": True}
+# The page stays offline: no button that sends data away, under either of the names it has had.
+_CONFIG = {
+    "displaylogo": False,
+    "responsive": True,
+    "showSendToCloud": False,
+    "modeBarButtonsToRemove": ["sendChartToCloud", "sendDataToCloud"],
+}
 _PLOTLY_DASHES = {"none": "dash", "compensated": "solid", "lqr": "dot"}
 
 
@@ -68,7 +74,7 @@ def tubes_html(dataset: xr.Dataset, law: str) -> str:
             "zaxis": {"title": {"text": DISPLAY[pair[1]].label}},
             "aspectmode": "manual",
             "aspectratio": {"x": 1.7, "y": 1.0, "z": 1.0},
-            "camera": {"eye": {"x": 1.0, "y": -2.0, "z": 0.8}},
+            "camera": {"eye": {"x": 1.3, "y": -2.5, "z": 1.0}},
         }
     figure.update_layout(
         height=900,
@@ -149,7 +155,7 @@ def errors_html(dataset: xr.Dataset, conditions: list[str]) -> str:
     figure.update_yaxes(title_text="error, Eq. 18 (deg)", col=1)
     figure.update_layout(
         height=430,
-        margin={"l": 60, "r": 10, "t": 40, "b": 50},
+        margin={"l": 60, "r": 10, "t": 60, "b": 50},
         hovermode="x unified",
         template="plotly_white",
         legend={"orientation": "h", "y": -0.2},

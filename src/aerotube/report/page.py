@@ -160,7 +160,8 @@ def _tubes(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str
         solve = law["solve_ms"]
         time = "–" if solve["median"] is None else f"{solve['median']:.1f} / {solve['p99']:.1f}"
         rows.append(
-            f"<tr><td>{escape(name.replace('_', '-'))}</td><td>{escape(certificate_words(law['certificate']))}</td>"
+            f'<tr><td class="w">{escape(name.replace("_", "-"))}</td>'
+            f"<td>{escape(certificate_words(law['certificate']))}</td>"
             f'<td class="n">{law["feasible_beats"]} of {summary["beats"]}</td><td class="n">{time}</td>'
             f"<td>{escape(settings)}</td></tr>"
         )

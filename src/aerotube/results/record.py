@@ -15,7 +15,7 @@ STATES = ("V", "alpha", "q", "theta", "beta", "p", "r", "phi")
 STATE_UNITS = ("m/s", "rad", "rad/s", "rad", "rad", "rad/s", "rad/s", "rad")
 CONTROLS = ("elevator", "throttle", "aileron", "rudder")
 CONTROL_UNITS = ("rad", "1", "rad", "rad")
-CALM, NOISE, ESTIMATOR = "calm", "noise", "noise+estimator"
+CALM, NOISE, ESTIMATOR = "noise-free", "noise", "noise+estimator"
 #: Condition -> ending of its keys in the summary.
 KEY_SUFFIX = {CALM: "", NOISE: "_noise", ESTIMATOR: "_estimator"}
 CONTROLLERS = ("none", "compensated", "lqr")
