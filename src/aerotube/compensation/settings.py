@@ -1,0 +1,114 @@
+"""What is asked of a synthesis, and the parts it is split into."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from aerotube.errors import InputError
+
+Algorithm = Literal["decoupled", "coupled"]
+Size = Literal["mean-square", "worst-case"]
+Shape = Literal["cost-to-go", "riccati"]
+Limits = Literal["box", "ellipsoid"]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some of the error states and the controls that steer them.
+
+    Attributes
+    ----------
+    name : str
+    errors : tuple of int
+        Indices into the eight error components.
+    controls : tuple of int
+        Indices into the four controls.
+    """
+
+    name: str
+    errors: tuple[int, ...]
+    controls: tuple[int, ...]
+
+
+DECOUPLED = (Part("longitudinal", (0, 1, 2, 3), (0, 1)), Part("lateral", (4, 5, 6, 7), (2, 3)))
+COUPLED = (Part("coupled", tuple(range(8)), tuple(range(4))),)
+
+
+@dataclass(frozen=True)
+class SynthesisSettings:
+    """How compensation laws are computed.
+
+    Attributes
+    ----------
+    algorithm : {"decoupled", "coupled"}
+        The paper's Algorithm 2 (two halves of four states) or Algorithm 1 (eight states).
+    size : {"mean-square", "worst-case"}
+        What of the terminal ellipsoid is made small: a bound on the mean square of the error, or the least
+        ``rho`` that holds the worst error.
+    shape : {"cost-to-go", "riccati"}
+        The metric in which the error at the end of a beat is measured, see :mod:`aerotube.tube.shapes`.
+    noise_weight : float
+        Mean square of the measurement noise over that of the disturbance set; 1 where both are uniform in the
+        same box.
+    limits : {"box", "ellipsoid"}
+        On which set the law must keep the controls within their limits: the disturbance box, or the whole
+        ellipsoid around it.
+    measurement_error : float
+        Largest measurement error, as a fraction of the disturbance set, for which the limits must hold too.
+    control_weight : float
+        Weight of control effort in the shape: ``R = control_weight * diag(1 / half range of control^2)``.
+    least_expected : float
+        Floor of the errors to be expected, as a fraction of the mean square over the initial ellipsoid's
+        boundary: the law is asked to do something sensible even in directions where no error is expected.
+    attitude : {"relative", "euler"}
+        Error coordinates the law works in.
+    degree : int
+        Degree of the sum-of-squares programs, even.
+    backend : {"clarabel"}
+        Solver of the programs.
+
+    Raises
+    ------
+    InputError
+        For a value out of range, naming it.
+    """
+
+    algorithm: Algorithm = "decoupled"
+    size: Size = "mean-square"
+    shape: Shape = "cost-to-go"
+    noise_weight: float = 0.0
+    limits: Limits = "box"
+    measurement_error: float = 0.0
+    control_weight: float = 1e-3
+    least_expected: float = 1e-2
+    attitude: Literal["relative", "euler"] = "relative"
+    degree: int = 4
+    backend: str = "clarabel"
+
+    def __post_init__(self) -> None:
+        choices = {
+            "algorithm": ("decoupled", "coupled"),
+            "size": ("mean-square", "worst-case"),
+            "shape": ("cost-to-go", "riccati"),
+            "limits": ("box", "ellipsoid"),
+            "attitude": ("relative", "euler"),
+        }
+        for name, allowed in choices.items():
+            if getattr(self, name) not in allowed:
+                raise InputError(
+                    f"synthesis: unknown {name} {getattr(self, name)!r}; choose {' or '.join(map(repr, allowed))}."
+                )
+        for name in ("noise_weight", "measurement_error"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"synthesis: {name} is {getattr(self, name)}; it must not be negative.")
+        for name in ("control_weight", "least_expected"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"synthesis: {name} is {getattr(self, name)}; it must be positive.")
+        if self.degree < 2 or self.degree % 2:
+            raise InputError(f"synthesis: degree is {self.degree}; it must be even and at least 2.")
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The parts the synthesis is split into."""
+        return DECOUPLED if self.algorithm == "decoupled" else COUPLED

@@ -1,0 +1,382 @@
+"""Compensation laws and tubes for every beat of a nominal trajectory (the paper's Algorithms 1 and 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerotube import sos
+from aerotube.aircraft.base import Aircraft
+from aerotube.compensation import exact_map
+from aerotube.compensation.forecast import Forecast, forecast
+from aerotube.compensation.law import LinearLaw
+from aerotube.compensation.settings import Part, SynthesisSettings
+from aerotube.dynamics import ErrorCoordinates, Linearisation, error_map, linearise
+from aerotube.nominal import Nominal
+from aerotube.tube import DisturbanceBox, ellipsoid, parameter_ranges, riccati, tracking_weights
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Tubes:
+    """Trajectory tubes of every beat, part by part, in the law's error coordinates.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+    initial_shape, initial_rho : ndarray (T, parts, n, n), (T, parts)
+        Initial ellipsoids: of least volume around the disturbance box.
+    metric : ndarray (T, parts, n, n)
+        The metric E1 the synthesis measured size in.
+    size, size_nominal : ndarray (T, parts)
+        Least ``rho`` in that metric, with the law and without it.
+    terminal_shape, terminal_rho : ndarray (T, parts, n, n), (T, parts)
+        Terminal ellipsoids with the law; their shape is that of the image of the initial ellipsoid under the
+        linearised closed loop, slightly rounded.
+    nominal_shape, nominal_rho : ndarray (T, parts, n, n), (T, parts)
+        The same without compensation.
+    certificate : str
+        What stands behind these numbers.
+    """
+
+    parts: tuple[Part, ...]
+    initial_shape: Array
+    initial_rho: Array
+    metric: Array
+    size: Array
+    size_nominal: Array
+    terminal_shape: Array
+    terminal_rho: Array
+    nominal_shape: Array
+    nominal_rho: Array
+    certificate: str
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """Laws, tubes, and how their computation went.
+
+    Attributes
+    ----------
+    law : LinearLaw
+        Zero gain (the nominal alone) for a part of a beat that has no feasible law.
+    tubes : Tubes
+    feasible : ndarray (T, parts) of bool
+    messages : list of str
+        One sentence for each failure.
+    bound : ndarray (T, parts)
+        The optimal value of each program: a bound on the size asked for.
+    solve_seconds : ndarray (T, parts)
+        Time in the solver, of one part of one beat.
+    settings : SynthesisSettings
+    linearisation : Linearisation
+        Of the error map along the nominal, in the law's coordinates.
+    """
+
+    law: LinearLaw
+    tubes: Tubes
+    feasible: NDArray[np.bool_]
+    messages: list[str]
+    bound: Array
+    solve_seconds: Array
+    settings: SynthesisSettings
+    linearisation: Linearisation
+
+
+def synthesise(
+    aircraft: Aircraft,
+    nominal: Nominal,
+    disturbance: DisturbanceBox,
+    settings: SynthesisSettings | None = None,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> Compensation:
+    """Compute compensation laws and tubes for all beats of a nominal trajectory.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Whose step map, sampled at nodes, the programs hold.
+    nominal : Nominal
+    disturbance : DisturbanceBox
+        Errors at the start of a beat and uncertain parameters.
+    settings : SynthesisSettings, optional
+    workers : int
+        Threads that solve; the numbers do not depend on it.
+    progress : callable, optional
+        Called with the number of programs solved and their total.
+
+    Returns
+    -------
+    Compensation
+
+    Raises
+    ------
+    InputError
+        If the nominal is outside the aircraft's model or limits.
+    ComputationError
+        If a Riccati shape does not exist.
+    """
+    settings = settings or SynthesisSettings()
+    nominal.check(aircraft)
+    coordinates = ErrorCoordinates(settings.attitude)
+    linear = linearise(aircraft, nominal, coordinates)
+    expected = _forecast(aircraft, nominal, disturbance, settings, coordinates, linear)
+    results = []
+    for index, part in enumerate(settings.parts):
+        tick = None
+        if progress is not None:
+            total = nominal.beats * len(settings.parts)
+            tick = _offset(progress, index * nominal.beats, total)
+        results.append(
+            _synthesise_part(
+                aircraft, nominal, disturbance, settings, coordinates, linear, expected, part, workers, tick
+            )
+        )
+    gains = np.zeros((nominal.beats, 4, 8))
+    for part, result in zip(settings.parts, results, strict=True):
+        gains[np.ix_(range(nominal.beats), part.controls, part.errors)] = result.gains
+
+    def gather(name: str) -> Array:
+        return np.stack([getattr(result, name) for result in results], axis=1)
+
+    names = ("initial_shape", "initial_rho", "metric", "size", "size_nominal")
+    names += ("terminal_shape", "terminal_rho", "nominal_shape", "nominal_rho")
+    return Compensation(
+        law=LinearLaw(gains, coordinates),
+        tubes=Tubes(settings.parts, **{name: gather(name) for name in names}, certificate="solver's word"),
+        feasible=gather("feasible").astype(bool),
+        messages=[message for result in results for message in result.messages],
+        bound=gather("bound"),
+        solve_seconds=gather("seconds"),
+        settings=settings,
+        linearisation=linear,
+    )
+
+
+@dataclass(frozen=True)
+class _PartResult:
+    gains: Array
+    initial_shape: Array
+    initial_rho: Array
+    metric: Array
+    size: Array
+    size_nominal: Array
+    terminal_shape: Array
+    terminal_rho: Array
+    nominal_shape: Array
+    nominal_rho: Array
+    feasible: NDArray[np.bool_]
+    messages: list[str]
+    bound: Array
+    seconds: Array
+
+
+def _offset(progress: Progress, start: int, total: int) -> Progress:
+    return lambda done, _: progress(start + done, total)
+
+
+def effort_weights(aircraft: Aircraft, nominal: Nominal, control_weight: float) -> Array:
+    """Weights R of the virtual controls: ``control_weight / half range^2`` on the diagonal.
+
+    The half range is that of the increments available along the nominal, so that it has the units of the
+    virtual control.
+
+    Returns
+    -------
+    ndarray (T, 4, 4)
+    """
+    lower, upper = aircraft.virtual_limits(nominal.states[:-1], nominal.controls)
+    half_range = 0.5 * (upper - lower)
+    out = np.zeros((nominal.beats, 4, 4))
+    out[:, np.arange(4), np.arange(4)] = control_weight / half_range**2
+    return out
+
+
+def _forecast(
+    aircraft: Aircraft,
+    nominal: Nominal,
+    disturbance: DisturbanceBox,
+    settings: SynthesisSettings,
+    coordinates: ErrorCoordinates,
+    linear: Linearisation,
+) -> Forecast:
+    """Errors and costs to be expected along the nominal."""
+    ranges = parameter_ranges(aircraft, disturbance.relative)
+    ends = np.repeat(np.asarray(aircraft.parameter_nominal, dtype=float)[None], 2 * len(ranges), axis=0)
+    for i, (low, high) in enumerate(ranges):
+        ends[2 * i : 2 * i + 2, i] = low, high
+    moved = error_map(
+        aircraft,
+        nominal,
+        np.arange(nominal.beats),
+        coordinates,
+        np.zeros((nominal.beats, 1, 8)),
+        parameters=np.broadcast_to(ends, (nominal.beats, *ends.shape)),
+    )
+    return forecast(
+        linear,
+        tracking_weights(nominal.states, coordinates),
+        effort_weights(aircraft, nominal, settings.control_weight),
+        coordinates.box(nominal.states[:-1], disturbance.half_widths),
+        0.5 * (moved[:, 1::2] - moved[:, ::2]),
+        settings.noise_weight,
+        settings.parts,
+    )
+
+
+def _metric(
+    nominal: Nominal,
+    settings: SynthesisSettings,
+    coordinates: ErrorCoordinates,
+    linear: Linearisation,
+    expected: Forecast,
+    effort: Array,
+    part: Part,
+) -> Array:
+    """The metric E1 of every beat, for one part: ndarray (T, n, n)."""
+    errors, controls = part.errors, part.controls
+    if settings.shape == "cost-to-go":
+        return expected.cost[1:, errors][:, :, errors]
+    return riccati(
+        linear.A[:, errors][:, :, errors],
+        linear.B[:, errors][:, :, controls],
+        tracking_weights(nominal.states, coordinates)[1:, errors][:, :, errors],
+        effort[:, controls][:, :, controls],
+    )
+
+
+def _synthesise_part(
+    aircraft: Aircraft,
+    nominal: Nominal,
+    disturbance: DisturbanceBox,
+    settings: SynthesisSettings,
+    coordinates: ErrorCoordinates,
+    linear: Linearisation,
+    expected: Forecast,
+    part: Part,
+    workers: int,
+    progress: Progress | None,
+) -> _PartResult:
+    beats, n, m = nominal.beats, len(part.errors), len(part.controls)
+    widths = coordinates.box(nominal.states[:-1], disturbance.half_widths)[:, part.errors]
+    initial_shape, initial_rho = ellipsoid.least_volume_around_box(widths)
+    whitening = ellipsoid.whitening(initial_shape, initial_rho)
+    vertices = disturbance.parameter_vertices(aircraft)
+    structure = exact_map.structure(n, m, len(vertices), settings.degree, settings.size, settings.limits)
+    nodes = structure.nodes("tube/0")
+    effort = effort_weights(aircraft, nominal, settings.control_weight)
+    lower, upper = aircraft.virtual_limits(nominal.states[:-1], nominal.controls)
+    limit = np.minimum(-lower, upper)[:, part.controls]
+    span = (upper - lower)[:, part.controls]
+    usable = limit > 1e-6 * span
+    input_map = linear.B[:, part.errors][:, :, part.controls] * usable[:, None, :]
+    data = exact_map.BeatData(
+        map_values=_sample(aircraft, nominal, coordinates, part, nodes, whitening, vertices),
+        input_map=input_map,
+        whitening=whitening,
+        shape=_metric(nominal, settings, coordinates, linear, expected, effort, part),
+        half_widths=widths,
+        limit=np.where(usable, limit, span),
+        measurement_error=settings.measurement_error,
+        expected=_whitened(expected.moment[:-1], part, whitening, settings.least_expected),
+        noise=_whitened(expected.noise, part, whitening, 0.0),
+        control_weight=effort[:, part.controls][:, :, part.controls],
+    )
+    scaling = exact_map.scale(data)
+    problem = exact_map.program_data(structure, data, scaling, settings.size, settings.limits)
+    solution = sos.solve(structure, problem, backend=settings.backend, workers=workers)
+    feasible = solution.status == sos.Status.OPTIMAL
+    gains = np.where(feasible[:, None, None], exact_map.gains(solution["K"], data, scaling), 0.0)
+    gains *= usable[:, :, None]
+    messages = [
+        f"beat {beat}, {part.name}: no law ({sos.Status(solution.status[beat]).name.lower().replace('_', ' ')}); "
+        "the nominal alone is flown."
+        for beat in np.flatnonzero(~feasible)
+    ]
+    if progress is not None:
+        progress(beats, beats)
+    result = _measure(data, gains, nodes, settings.degree, linear.A[:, part.errors][:, :, part.errors], workers)
+    return replace(
+        result,
+        initial_shape=initial_shape,
+        initial_rho=initial_rho,
+        feasible=feasible,
+        messages=messages,
+        bound=np.where(feasible, solution.objective * scaling.size, np.nan),
+        seconds=solution.seconds,
+    )
+
+
+def _whitened(moment: Array, part: Part, whitening: Array, least: float) -> Array:
+    """Second moments of a part's errors in whitened coordinates, with a floor: ndarray (T, n, n)."""
+    inverse = np.linalg.inv(whitening)
+    own = inverse @ moment[:, part.errors][:, :, part.errors] @ np.swapaxes(inverse, 1, 2)
+    return np.asarray(own + least / len(part.errors) * np.eye(len(part.errors)))
+
+
+def _sample(
+    aircraft: Aircraft,
+    nominal: Nominal,
+    coordinates: ErrorCoordinates,
+    part: Part,
+    nodes: Array,
+    whitening: Array,
+    vertices: Array,
+) -> Array:
+    """The error map at the nodes, other parts' errors zero: ndarray (T, k, U, n)."""
+    error = np.zeros((nominal.beats, 1, len(nodes), 8))
+    error[..., part.errors] = np.einsum("bij,uj->bui", whitening, nodes)[:, None]
+    end = error_map(
+        aircraft,
+        nominal,
+        np.arange(nominal.beats),
+        coordinates,
+        error,
+        parameters=np.broadcast_to(vertices[None, :, None, :], (nominal.beats, len(vertices), 1, vertices.shape[1])),
+    )
+    return np.ascontiguousarray(end[..., part.errors])
+
+
+def _measure(data: exact_map.BeatData, gains: Array, nodes: Array, degree: int, A: Array, workers: int) -> _PartResult:
+    """Sizes and terminal ellipsoids, with the law and without it."""
+    beats, vertices, _, n = data.map_values.shape
+    structure = exact_map.size_structure(n, vertices, degree)
+    start = np.einsum("bij,uj->bui", data.whitening, nodes)
+    with_law = data.map_values + np.einsum("bim,bmj,buj->bui", data.input_map, gains, start)[:, None]
+
+    def least_rho(end: Array, shape: Array) -> Array:
+        problem, unit = exact_map.size_data(structure, end, shape)
+        solution = sos.solve(structure, problem, backend="clarabel", workers=workers)
+        return np.where(solution.status == sos.Status.OPTIMAL, solution.objective * unit, np.nan)
+
+    def image(matrix: Array) -> Array:
+        spread = matrix @ data.whitening
+        covariance = spread @ np.swapaxes(spread, 1, 2)
+        rounding = 1e-3 * data.whitening @ np.swapaxes(data.whitening, 1, 2)
+        shape = np.linalg.inv(covariance + rounding)
+        return 0.5 * (shape + np.swapaxes(shape, 1, 2))
+
+    closed, opened = image(A + data.input_map @ gains), image(A)
+    empty = np.zeros(0)
+    return _PartResult(
+        gains=gains,
+        initial_shape=empty,
+        initial_rho=empty,
+        metric=data.shape,
+        size=least_rho(with_law, data.shape),
+        size_nominal=least_rho(data.map_values, data.shape),
+        terminal_shape=closed,
+        terminal_rho=least_rho(with_law, closed),
+        nominal_shape=opened,
+        nominal_rho=least_rho(data.map_values, opened),
+        feasible=np.zeros(beats, dtype=bool),
+        messages=[],
+        bound=empty,
+        seconds=empty,
+    )
