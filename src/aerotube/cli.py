@@ -112,8 +112,8 @@ def run(
         "nominal.horizon": None if horizon is None else f"{horizon!r} s",
         "synthesis.algorithm": algorithm,
     }
-    source = load(scenario, {key: value for key, value in asked.items() if value is not None})
-    with _progress() as progress:
+    with _interruptible(), _progress() as progress:
+        source = load(scenario, {key: value for key, value in asked.items() if value is not None})
         summary = job.run(source, out, workers or os.cpu_count() or 1, progress)
     _print_summary(summary, out)
     raise typer.Exit(_exit_code(summary, out))
@@ -128,10 +128,23 @@ def report(
     from aerotube import report as reports
     from aerotube.results import ensure_folder, read
 
-    dataset = read(results)
-    folder = ensure_folder(out or results.parent)
-    reports.write(dataset, folder)
+    with _interruptible():
+        dataset = read(results)
+        folder = ensure_folder(out or results.parent)
+        reports.write(dataset, folder)
     typer.echo(f"{folder / 'report.html'} written")
+
+
+class _Interrupted(Exception):
+    """Ctrl-C, under a name that the library of the command line leaves alone."""
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise _Interrupted from None
 
 
 @contextmanager
@@ -223,8 +236,8 @@ def app(arguments: Sequence[str] | None = None) -> NoReturn:
         code = _say(error, FAILED)
     except OSError as error:
         code = _say(f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", FAILED)
-    except (KeyboardInterrupt, typer.Abort):
-        code = _say("interrupted; no file was left half written", INTERRUPTED)
+    except (_Interrupted, KeyboardInterrupt, typer.Abort):
+        code = _say("interrupted before the end; the files that are there are whole", INTERRUPTED)
     except usage_error as error:
         code = _say(f"{error.format_message()} See: aerotube --help", MISTAKE)  # type: ignore[attr-defined]
     sys.exit(code if isinstance(code, int) else FINE)

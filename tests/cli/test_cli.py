@@ -218,6 +218,19 @@ def test_an_interruption_keeps_what_was_finished(capsys, tmp_path, quick, monkey
     assert int(dataset["flown"].sum()) == 1
 
 
+def test_an_interruption_while_writing_leaves_whole_files(capsys, tmp_path, quick, monkeypatch):
+    quick(ComputationError("no laws here"))
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("aerotube.report.write", interrupted)
+    code, _, errors = aerotube(capsys, "run", *SMALL, "--noise", "0", "--out", tmp_path)
+    assert code == 130
+    assert "interrupted" in errors
+    assert {path.name for path in tmp_path.iterdir()} == {"results.nc", "summary.json"}
+
+
 def test_an_error_nobody_foresaw_is_shown_but_keeps_what_was_finished(tmp_path, quick):
     quick(ZeroDivisionError("a defect"))
     with pytest.raises(ZeroDivisionError):
