@@ -155,6 +155,7 @@ class Setting(_Section):
     measurement_error: Annotated[Ratio, Field(ge=0.0)] | None = None
     noise_weight: float | None = Field(default=None, ge=0.0)
     control_weight: float | None = Field(default=None, gt=0.0)
+    least_expected: float | None = Field(default=None, gt=0.0)
     attitude: Literal["relative", "euler"] | None = None
     degree: int | None = Field(default=None, ge=2, multiple_of=2)
 

@@ -37,7 +37,7 @@ def test_the_built_in_scenario_says_everything_that_the_defaults_say():
 
 
 def test_a_setting_overrules_the_common_keys():
-    text = changed("noise_weight = 6.0", 'noise_weight = 1.0\nshape = "riccati"')
+    text = changed("noise_weight = 1.0", 'noise_weight = 1.0\nshape = "riccati"')
     synthesis = scenario.parse(text).scenario.synthesis
     assert synthesis.setting("noise_free")["shape"] == "cost-to-go"
     assert synthesis.setting("noise")["shape"] == "riccati"
