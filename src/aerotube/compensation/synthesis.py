@@ -145,8 +145,8 @@ def synthesise(
     def gather(name: str) -> Array:
         return np.stack([getattr(result, name) for result in results], axis=1)
 
-    names = ("initial_shape", "initial_rho", "metric", "size", "size_nominal")
-    names += ("terminal_shape", "terminal_rho", "nominal_shape", "nominal_rho")
+    names = ["initial_shape", "initial_rho", "metric", "size", "size_nominal"]
+    names += ["terminal_shape", "terminal_rho", "nominal_shape", "nominal_rho"]
     return Compensation(
         law=LinearLaw(gains, coordinates),
         tubes=Tubes(settings.parts, **{name: gather(name) for name in names}, certificate="solver's word"),
@@ -353,14 +353,14 @@ def _measure(data: exact_map.BeatData, gains: Array, nodes: Array, degree: int, 
     def least_rho(end: Array, shape: Array) -> Array:
         problem, unit = exact_map.size_data(structure, end, shape)
         solution = sos.solve(structure, problem, backend="clarabel", workers=workers)
-        return np.where(solution.status == sos.Status.OPTIMAL, solution.objective * unit, np.nan)
+        return np.asarray(np.where(solution.status == sos.Status.OPTIMAL, solution.objective * unit, np.nan))
 
     def image(matrix: Array) -> Array:
         spread = matrix @ data.whitening
         covariance = spread @ np.swapaxes(spread, 1, 2)
         rounding = 1e-3 * data.whitening @ np.swapaxes(data.whitening, 1, 2)
         shape = np.linalg.inv(covariance + rounding)
-        return 0.5 * (shape + np.swapaxes(shape, 1, 2))
+        return np.asarray(0.5 * (shape + np.swapaxes(shape, 1, 2)))
 
     closed, opened = image(A + data.input_map @ gains), image(A)
     empty = np.zeros(0)

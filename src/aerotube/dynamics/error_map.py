@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from aerotube.aircraft.base import Aircraft
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.dynamics.step import step, step_components
+from aerotube.numerics.taylor import Taylor, TaylorSpace
 
 if TYPE_CHECKING:
     from aerotube.nominal import Nominal
-    from aerotube.numerics.taylor import TaylorSpace
 
 Array = NDArray[np.float64]
 
@@ -99,10 +99,7 @@ class TaylorMap:
 
     def __call__(self, points: Array) -> Array:
         """Values at points (b, u, nvar): ndarray (b, u, 8)."""
-        from aerotube.numerics.taylor import Taylor
-
-        polynomials = Taylor(self.space, self.coefficients[:, None])
-        return np.asarray(polynomials(np.asarray(points)[:, :, None, :]))
+        return np.asarray(self.space.monomials(points) @ np.swapaxes(self.coefficients, 1, 2))
 
 
 def taylor_map(
@@ -133,15 +130,13 @@ def taylor_map(
     -----
     Tables interpolated linearly contribute the slope of the piece the nominal lies on, and no curvature.
     """
-    from aerotube.numerics.taylor import Taylor, TaylorSpace
-
     beats = np.asarray(beats)
     errors, increments, parameters = tuple(errors), tuple(increments), tuple(parameters)
     space = TaylorSpace(len(errors) + len(increments) + len(parameters), order)
     zero = np.zeros(len(beats))
-    error: list[Taylor | Array] = [zero] * 8
-    increment: list[Taylor | Array] = [zero] * 4
-    sigma: list[Taylor | Array] = [zero + value for value in aircraft.parameter_nominal]
+    error: list[Any] = [zero] * 8
+    increment: list[Any] = [zero] * 4
+    sigma: list[Any] = [zero + value for value in aircraft.parameter_nominal]
     targets = [(error, i) for i in errors] + [(increment, i) for i in increments] + [(sigma, i) for i in parameters]
     for variable, (components, i) in enumerate(targets):
         components[i] = space.variable(variable, components[i])

@@ -127,7 +127,7 @@ class ErrorCoordinates:
             theta, phi = scale * _dot(down, e_theta), scale * _dot(down, e_phi)
         else:
             down_n = _down(nominal[3:7])
-            theta = np.arcsin(-down[0]) - np.arcsin(-np.clip(down_n[0], -1.0, 1.0))
+            theta = _pitch(down) - _pitch(down_n)
             phi = np.arctan2(down[1] * down_n[2] - down[2] * down_n[1], down[1] * down_n[1] + down[2] * down_n[2])
         return (
             speed - speed_n,
@@ -205,6 +205,11 @@ def _down(quaternion: Sequence[Any]) -> list[Any]:
         2.0 * (q2 * q3 + q0 * q1),
         q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3,
     ]
+
+
+def _pitch(down: Sequence[Any]) -> Any:
+    """Pitch angle of a down direction; unlike the arcsine it stands a rounding error at the vertical."""
+    return np.arctan2(-down[0], np.sqrt(down[1] * down[1] + down[2] * down[2]))
 
 
 def _dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
