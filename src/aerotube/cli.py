@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,6 +30,7 @@ cli = typer.Typer(
     help="Trajectory tubes and compensation laws for aircraft, by sum-of-squares programming.",
     epilog=_EPILOG,
     add_completion=False,
+    pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -155,7 +157,12 @@ def _progress() -> Iterator[Progress]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield lambda words, share: print(f"{100 * share:3.0f} % {words}", file=sys.stderr)
+        start = time.monotonic()
+
+        def line(words: str, share: float) -> None:
+            print(f"{time.monotonic() - start:6.1f} s {100 * share:4.0f} %  {words}", file=sys.stderr)
+
+        yield line
         return
     columns = (
         TextColumn("{task.percentage:3.0f} %"),

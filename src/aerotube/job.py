@@ -353,8 +353,13 @@ def _design(
         sizes = np.stack([tubes.terminal_rho[:, index], tubes.nominal_rho[:, index]])
         unknown = np.flatnonzero(~np.isfinite(sizes).all(axis=0))
         if unknown.size:
-            beats = ", ".join(map(str, unknown))
-            record.problems.append(f"{_words(key)} law, {part.name}: no tube was found for beat {beats}")
+            record.problems.append(f"{_words(key)} law, {part.name}: no tube was found at beat {_ranges(unknown)}")
+
+
+def _ranges(numbers: NDArray[np.intp]) -> str:
+    """Rising numbers in words, runs of them as ranges: "0 to 3, 7"."""
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    return ", ".join(f"{run[0]}" if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs)
 
 
 class _Flights:

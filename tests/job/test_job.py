@@ -93,3 +93,8 @@ def test_gusts_are_met_where_the_aircraft_is():
     made = job.prepare(scenario.load(overrides={"flight.gusts": "moderate"}))
     assert (made.gusts.altitude, made.gusts.speed) == pytest.approx((3000.0, 185.0))
     assert job.prepare(scenario.load()).gusts is None
+
+
+def test_beats_are_told_as_ranges():
+    assert job._ranges(np.array([0, 1, 2, 5, 7, 8])) == "0 to 2, 5, 7 to 8"
+    assert job._ranges(np.array([4])) == "4"

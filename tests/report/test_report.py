@@ -88,6 +88,17 @@ def test_boundaries_lie_on_their_ellipses(dataset):
     np.testing.assert_allclose(values, 1.0, rtol=1e-9)
 
 
+def test_degenerate_ellipses_are_drawn_as_what_they_are(dataset):
+    from aerotube.report.tubes import Projection
+
+    P = np.array([[[4.0, 2.0], [2.0, 1.0]], [[0.0, 0.0], [0.0, 0.0]], [[np.nan, 0.0], [0.0, 1.0]]])
+    line, point, gap = Projection(np.arange(3.0), P, P, P).ellipses("terminal")
+    np.testing.assert_allclose(line[:, 0], 2 * line[:, 1], atol=1e-12)
+    assert line[:, 0].max() == pytest.approx(2.0, rel=1e-2)
+    assert np.all(point == 0.0)
+    assert np.isnan(gap).all()
+
+
 def test_an_infeasible_beat_leaves_a_gap(record):
     for name in ("terminal_rho", "size"):
         getattr(record.laws["noise_free"], name)[3, 0] = np.nan

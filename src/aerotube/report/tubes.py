@@ -49,7 +49,12 @@ class Projection:
         """Boundaries of one kind of ellipse: ndarray (beat, points, 2)."""
         angle = np.linspace(0.0, 2.0 * np.pi, points)
         circle = np.stack([np.cos(angle), np.sin(angle)])
-        boundary: Array = np.swapaxes(np.linalg.cholesky(getattr(self, which)) @ circle, -1, -2)
+        P: Array = getattr(self, which)
+        # The square root of a 2 x 2 matrix in closed form: of a degenerate or missing ellipse too.
+        a, b, c = (P[:, i, j, None, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+        scale, trace = np.sqrt(np.maximum(a * c - b * b, 0.0)), a + c
+        root = (P + scale * np.eye(2)) / np.sqrt(np.maximum(trace + 2.0 * scale, np.finfo(float).tiny))
+        boundary: Array = np.swapaxes(root @ circle, -1, -2)
         return boundary
 
     def half_extent(self, which: str, state: int) -> Array:
