@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -21,11 +20,11 @@ BACKENDS = ("aerotube", "clarabel")
 def solve(
     structure: Structure,
     data: Data,
-    backend: str = "clarabel",
+    backend: str = "aerotube",
     *,
     deadline: float | None = None,
     workers: int = 1,
-    tolerance: float = 1e-8,
+    tolerance: float = 1e-7,
     iterations: int = 100,
 ) -> Solution:
     """Solve a program, or every program of a batch.
@@ -36,13 +35,13 @@ def solve(
     data : Data
         Of this structure.
     backend : str
-        ``"clarabel"``.
+        ``"aerotube"``, the project's own interior-point method, or ``"clarabel"``.
     deadline : float, optional
         Seconds allowed for each program.
     workers : int
         Threads over the batch.
     tolerance : float
-        Relative gap and feasibility.
+        Relative gap asked for; feasibility is asked to a tenth of it.
     iterations : int
         Iterations allowed for each program.
 
@@ -65,13 +64,22 @@ def solve(
     if workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}.")
     data.check()
-    one = _backend(backend)
-    options = {"tolerance": tolerance, "seconds": np.inf if deadline is None else deadline, "iterations": iterations}
+    seconds = np.inf if deadline is None else deadline
+    if backend == "aerotube":
+        from aerotube.sos.backends import interior
+
+        found = interior.solve(
+            structure, data, tolerance=tolerance, seconds=seconds, iterations=iterations, workers=workers
+        )
+        return Solution(structure, data, objective=objectives(data, found["values"]), backend=backend, **found)
+    from aerotube.sos.backends import clarabel
+
+    options: dict[str, Any] = {"tolerance": tolerance, "seconds": seconds, "iterations": iterations}
 
     def run(position: int) -> tuple[Result, float, tuple[float, float, float, float]]:
         objective, arrays = data.one(position)
         start = time.perf_counter()
-        result = one(structure, objective, arrays, **options)
+        result = clarabel.solve_one(structure, objective, arrays, **options)
         seconds = time.perf_counter() - start
         return result, seconds, figures(structure, objective, arrays, result)
 
@@ -85,10 +93,16 @@ def solve(
     return _gather(structure, data, backend, results)
 
 
-def _backend(name: str) -> Callable[..., Result]:
-    from aerotube.sos.backends import clarabel
-
-    return clarabel.solve_one
+def objectives(data: Data, values: Array) -> Array:
+    """Objectives (...) of decisions (..., m), log-determinant terms included."""
+    total = np.einsum("...j,...j->...", data.objective, values)
+    for c in data.structure.constraints:
+        if c.kind == "logdet":
+            arrays = data.constraints[c.name]
+            matrix = arrays["F0"] + np.einsum("...j,...jkl->...kl", values, arrays["F"])
+            sign, size = np.linalg.slogdet(matrix)
+            total = total - np.where(sign > 0, c.factor * size, -np.inf)
+    return np.asarray(total)
 
 
 def figures(

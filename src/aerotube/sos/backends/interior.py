@@ -1,0 +1,168 @@
+"""The project's own interior-point method over a batch: threads, deadlines, and answers by name."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from aerotube.sos.domain import Array
+from aerotube.sos.interior import run
+from aerotube.sos.interior.layout import (
+    FIRST,
+    LAST,
+    MATRICES,
+    MATRIX,
+    ORDER,
+    ROWS,
+    VECTOR,
+    VECTORS,
+    Layout,
+    State,
+    flatten,
+    layout,
+    memory,
+)  # fmt: skip
+from aerotube.sos.program import Data, Structure
+from aerotube.sos.solution import Status
+
+_STATUS = {-1: Status.TROUBLE, 0: Status.OPTIMAL, 2: Status.INFEASIBLE, 3: Status.UNBOUNDED, 4: Status.TROUBLE}
+_PRIMAL, _DUAL, _GAP = 3, 4, 5
+_rooms: dict[tuple[Structure, int], list[State]] = {}
+_lock = threading.Lock()
+
+
+@contextmanager
+def _room(structure: Structure, lay: Layout) -> Iterator[State]:
+    """Memory of one solve, kept for the next one of the same structure."""
+    key = (structure, 0)
+    with _lock:
+        free = _rooms.setdefault(key, [])
+        state = free.pop() if free else None
+    if state is None:
+        state = memory(lay)
+    try:
+        yield state
+    finally:
+        with _lock:
+            if len(free) < 8:
+                free.append(state)
+
+
+def _solve_one(
+    structure: Structure, lay: Layout, flat: Array, out: Array, tolerance: float, seconds: float, iterations: int
+) -> tuple[float, bool]:
+    """Solve one program into `out`; return the seconds taken and whether the deadline stopped it."""
+    start = time.perf_counter()
+    feasibility = min(1e-8, 0.1 * tolerance)
+    late = False
+    with _room(structure, lay) as state:
+        if np.isinf(seconds):
+            run.solve(lay, state, flat, feasibility, tolerance, iterations, out)
+        else:
+            run.begin(lay, state, flat)
+            longest, before = 0.0, time.perf_counter()
+            while not run.proceed(lay, state, feasibility, tolerance, iterations, 1):
+                now = time.perf_counter()
+                longest, before = max(longest, now - before), now
+                # The next iteration is assumed to take as long as the longest so far.
+                if now - start + longest > seconds:
+                    late = True
+                    break
+            run.finish(lay, state, out)
+    return time.perf_counter() - start, late
+
+
+def solve(
+    structure: Structure, data: Data, *, tolerance: float, seconds: float, iterations: int, workers: int
+) -> dict[str, Any]:
+    """Solve a batch; fields of `aerotube.sos.Solution` by name.
+
+    Parameters
+    ----------
+    structure, data : as in `aerotube.sos.solve`
+    tolerance : float
+        Relative gap; feasibility is asked to a tenth of it, and to 1e-8 at least.
+    seconds : float
+        Deadline of each program, from its own start (inf for none).
+    iterations : int
+        Iterations allowed for each variant of the method.
+    workers : int
+        Threads over the batch.
+    """
+    lay = layout(structure)
+    flat = flatten(data, lay)
+    count, m = data.count, structure.size
+    length = run.NUMBERS + m + int(lay.at[MATRICES]) + int(lay.at[VECTORS])
+    out = np.empty((count, length))
+    taken, late = np.zeros(count), np.zeros(count, dtype=bool)
+
+    def work(k: int) -> None:
+        taken[k], late[k] = _solve_one(structure, lay, flat[k], out[k], tolerance, seconds, iterations)
+
+    # BLAS threads would fight with one another and with ours; one solve keeps to one core.
+    with _single_threaded_blas():
+        if workers == 1 or count == 1:
+            for k in range(count):
+                work(k)
+        else:
+            with ThreadPoolExecutor(min(workers, count)) as pool:
+                list(pool.map(work, range(count)))
+    return _answers(structure, data, lay, out, taken, late)
+
+
+@contextmanager
+def _single_threaded_blas() -> Iterator[None]:
+    with _controller().limit(limits=1, user_api="blas"):
+        yield
+
+
+def _controller() -> Any:
+    """Handle to the loaded BLAS libraries, looked up once: the look-up takes longer than a small program."""
+    global _threadpools
+    if _threadpools is None:
+        from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
+
+        _threadpools = ThreadpoolController()
+    return _threadpools
+
+
+_threadpools: Any = None
+
+
+def _answers(structure: Structure, data: Data, lay: Layout, out: Array, taken: Array, late: Array) -> dict[str, Any]:
+    batch, m = data.batch, structure.size
+    matrices = run.NUMBERS + m
+    vectors = matrices + int(lay.at[MATRICES])
+    grams: dict[str, tuple[Array, ...]] = {}
+    multipliers: dict[str, Array] = {}
+    for i, c in enumerate(structure.constraints):
+        found = []
+        for b in range(int(lay.con[FIRST, i]), int(lay.con[LAST, i])):
+            n, at = int(lay.blk[ORDER, b]), matrices + int(lay.blk[MATRIX, b])
+            found.append(out[:, at : at + n * n].reshape(*batch, n, n))
+        if c.kind == "sos":
+            grams[c.name] = tuple(found)
+        if c.kind in ("lmi", "logdet"):
+            multipliers[c.name] = found[0]
+        else:
+            at, rows = vectors + int(lay.con[VECTOR, i]), int(lay.con[ROWS, i])
+            multipliers[c.name] = out[:, at : at + rows].reshape(*batch, rows)
+    status = np.array([_STATUS[int(k)] for k in out[:, 14]], dtype=np.int64)
+    status[late.astype(bool)] = Status.DEADLINE
+    return {
+        "values": out[:, run.NUMBERS : run.NUMBERS + m].reshape(*batch, m),
+        "status": status.reshape(batch),
+        "iterations": out[:, 15].astype(np.int64).reshape(batch),
+        "seconds": taken.reshape(batch),
+        "grams": grams,
+        "multipliers": multipliers,
+        "primal_residual": out[:, _PRIMAL].reshape(batch),
+        "dual_residual": out[:, _DUAL].reshape(batch),
+        "gap": out[:, _GAP].reshape(batch),
+    }

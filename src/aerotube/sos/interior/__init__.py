@@ -1,0 +1,1 @@
+"""The project's own primal-dual interior-point method, in compiled code."""

@@ -1,0 +1,130 @@
+"""Matrix blocks: Gram matrices of sampled sums of squares, and linear matrix inequalities.
+
+Each block has a matrix `Q` that multiplies and a matrix `Z` that depends linearly on other unknowns,
+
+    sums of squares:  Z = sum_u y_u g(z_u) p_u p_u'   (Q the Gram matrix, y the multiplier),
+    inequalities:     Z = F0 + sum_i d_i F_i          (Q the multiplier),
+
+and complementarity Q Z = t I, linearised as  dQ = T - sym(Q dZ Z^-1)  (the direction of Helmberg, Kojima and Monteiro).
+Because the constraint matrices of a sampled sum of squares are of rank one, its Schur complement is the entrywise
+product (P Q P') o (P Z^-1 P'), summed over blocks with weights g g'.
+"""
+
+from __future__ import annotations
+
+from aerotube.sos.interior import blas, small
+from aerotube.sos.interior.compiled import inner
+
+
+@inner
+def moment_matrix(p, g, y, out, tall):  # type: ignore[no-untyped-def]
+    """Out = sum_u y_u g_u p_u p_u'; tall is scratch (U, N)."""
+    rows, n = p.shape
+    plain = g.shape[0] == 0
+    for u in range(rows):
+        scale = y[u] if plain else y[u] * g[u]
+        for j in range(n):
+            tall[u, j] = scale * p[u, j]
+    blas.multiply_first_transposed(p, tall, out)
+
+
+@inner
+def add_values(p, g, gram, factor, out, tall):  # type: ignore[no-untyped-def]
+    """out_u += factor * g_u p_u' gram p_u; tall is scratch (U, N)."""
+    rows, n = p.shape
+    plain = g.shape[0] == 0
+    blas.multiply(p, gram, tall)
+    for u in range(rows):
+        total = 0.0
+        for j in range(n):
+            total += tall[u, j] * p[u, j]
+        out[u] += factor * total if plain else factor * total * g[u]
+
+
+@inner
+def copy_lower(source, out):  # type: ignore[no-untyped-def]
+    """Out = lower triangle of source, zeros above."""
+    n = source.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            out[i, j] = source[i, j]
+        for j in range(i + 1, n):
+            out[i, j] = 0.0
+
+
+@inner
+def factor_pair(Q, Z, LQ, LZ, inverse, scratch):  # type: ignore[no-untyped-def]
+    """Factors of Q and Z, and the inverse of Z; False if either is not positive definite."""
+    n = Q.shape[0]
+    copy_lower(Q, LQ)
+    copy_lower(Z, LZ)
+    if not small.try_cholesky(LQ) or not small.try_cholesky(LZ):
+        return False
+    half = scratch[: n * n].reshape((n, n))
+    small.invert_factor(LZ, half)
+    blas.multiply_first_transposed(half, half, inverse)
+    return True
+
+
+@inner
+def add_schur(p, g, pq, LZ, begin, K1, K2, M, tall, k2):  # type: ignore[no-untyped-def]
+    """Add (or, at `begin`, set) a block's Schur complement in the lower triangle of M; pq is P L_Q.
+
+    Also adds to k2 the values of g p'Z^-1 p.
+    """
+    rows = p.shape[0]
+    plain = g.shape[0] == 0
+    blas.gram_lower(pq, K1, 0.0)
+    small.copy_matrix(p, tall)
+    blas.divide_by_factor(LZ, tall)
+    blas.gram_lower(tall, K2, 0.0)
+    for u in range(rows):
+        k2[u] += K2[u, u] if plain else g[u] * K2[u, u]
+        if plain and begin:
+            for v in range(u + 1):
+                M[u, v] = K1[u, v] * K2[u, v]
+        elif plain:
+            for v in range(u + 1):
+                M[u, v] += K1[u, v] * K2[u, v]
+        elif begin:
+            for v in range(u + 1):
+                M[u, v] = g[u] * g[v] * K1[u, v] * K2[u, v]
+        else:
+            for v in range(u + 1):
+                M[u, v] += g[u] * g[v] * K1[u, v] * K2[u, v]
+
+
+@inner
+def symmetric_product(a, b, factor, out, scratch):  # type: ignore[no-untyped-def]
+    """Out += factor * sym(a b)."""
+    n = a.shape[0]
+    c = scratch[: n * n].reshape((n, n))
+    blas.multiply(a, b, c)
+    half = 0.5 * factor
+    for i in range(n):
+        for j in range(i):
+            value = half * (c[i, j] + c[j, i])
+            out[i, j] += value
+            out[j, i] += value
+        out[i, i] += factor * c[i, i]
+
+
+@inner
+def scale_inequality(G, LQ, halfinverse, V):  # type: ignore[no-untyped-def]
+    """Row i of V (width, k^2) is L_Q' F_i L_Z^-T, so that V V' is the inequality's Schur complement.
+
+    The matrices F_i are mostly zeros, so the product is made entry by entry.
+    """
+    k = LQ.shape[0]
+    for a in range(G.shape[0]):
+        row = V[a].reshape((k, k))
+        F = G[a].reshape((k, k))
+        row[:] = 0.0
+        for r in range(k):
+            for c in range(k):
+                value = F[r, c]
+                if value != 0.0:
+                    for i in range(r + 1):
+                        left = value * LQ[r, i]
+                        for j in range(c, k):
+                            row[i, j] += left * halfinverse[j, c]

@@ -1,0 +1,220 @@
+"""From a structure to flat arrays that compiled code can walk, and the memory of one solve.
+
+Compiled functions take one integer table and one heap of numbers each for the structure and for the state: the few
+arguments keep compilation short. The accessors at the end give the parts their names.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerotube.sos.domain import Array
+from aerotube.sos.interior.compiled import inner
+from aerotube.sos.program import Data, Structure
+
+SOS, LMI, NORM, LINEAR = 0, 1, 2, 3
+_KINDS = {"sos": SOS, "lmi": LMI, "logdet": LMI, "norm": NORM, "linear": LINEAR}
+Ints = NDArray[np.int64]
+
+# Rows of Layout.con, one column for each constraint.
+KIND, ROWS, VECTOR, FIRST, LAST, COMPACT, FACTOR_AT, FLAT, GROUP, TARGET = range(10)
+# Rows of Layout.blk, one column for each matrix block (Gram matrix or matrix inequality).
+ORDER, MATRIX, BASIS, WEIGHT, OWNER = range(5)
+# Matrix storages: one entry for each entry of each block.
+Q, Z, LQ, LZ, INVERSE, DQ, DZ, E, T, MISFIT, BEST_Q = range(11)
+# Vector storages: one entry for each node, cone entry and linear row.
+Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y = range(11, 21)
+# Decision storages, (m + 1) entries.
+D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D = range(21, 29)
+# The rest: data, factors, scratch.
+G, V, FACTOR, SQUARE, SQUARE2, TALL, TALLQ, SCRATCH, SHORT, SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = range(
+    29, 44
+)
+# Sizes.
+M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, NODES, FLATS = range(44, 52)
+_COUNT = 52
+
+
+class Layout(NamedTuple):
+    """Where everything lies.
+
+    Attributes
+    ----------
+    con : (10, constraints)
+        Kind; rows (U, order, 1 + k, rows); offset in vector storage; first and last + 1 block; offset of its data
+        (rows x width, or width x k^2); offset of its Schur factor; offset in a program's flat data; first row scale
+        (one for all rows, but one for each linear row); place of its log-determinant factor in `numbers`.
+    blk : (5, blocks)
+        Order N; offset in matrix storage; places of P (U x N) and g (U, or -1 for 1) in `numbers`; its constraint.
+    numbers : (...)
+        Bases, weights, starting functionals (vector storage), log-determinant factors.
+    at : (52,)
+        Offset of each storage in the heap, and the sizes.
+    """
+
+    con: Ints
+    blk: Ints
+    numbers: Array
+    at: Ints
+
+
+class State(NamedTuple):
+    """The memory of one solve: numbers, and integers (status, iterations, variant, stalls, widths, active columns)."""
+
+    heap: Array
+    ints: Ints
+
+
+@lru_cache(maxsize=64)
+def layout(structure: Structure) -> Layout:
+    """Lay out a structure (cached)."""
+    m, constraints = structure.size, structure.constraints
+    con = np.zeros((10, len(constraints)), dtype=np.int64)
+    blk: list[tuple[int, int, int, int, int]] = []
+    bases: list[Array] = [np.zeros(0)]
+    weights: list[Array] = []
+    interior: list[Array] = []
+    vectors = matrices = compact = factors = groups = tall = weighing = 0
+    flat, degree = m, 0
+    for i, c in enumerate(constraints):
+        kind = _KINDS[c.kind]
+        rows = c.size + 1 if kind == NORM else c.size
+        entries = rows * rows if kind == LMI else rows
+        con[:9, i] = kind, rows, vectors, len(blk), 0, compact, factors, flat, groups
+        compact += (m + 1) * entries
+        flat += (m + 1) * entries
+        groups += rows if kind == LINEAR else 1
+        degree += {SOS: 0, LMI: rows, NORM: 1, LINEAR: rows}[kind]
+        if kind != LMI:
+            vectors += rows
+            interior.append(structure.sampling(c.name).interior if kind == SOS else np.zeros(rows))
+        if kind == LMI:
+            blk.append((rows, matrices, 0, -1, i))
+            matrices += entries
+        elif kind == SOS:
+            factors += rows * rows
+            for block in structure.sampling(c.name).blocks:
+                plain = bool(np.all(block.weights == 1.0))
+                blk.append((len(block.basis), matrices, tall, -1 if plain else weighing, i))
+                matrices += len(block.basis) ** 2
+                tall += block.rows.size
+                degree += len(block.basis)
+                bases.append(block.rows.ravel())
+                if not plain:
+                    weights.append(block.weights)
+                    weighing += rows
+        con[LAST, i] = len(blk)
+    table = np.array(blk, dtype=np.int64).reshape(len(blk), 5).T.copy()
+    table[WEIGHT][table[WEIGHT] >= 0] += tall
+    con[TARGET] = tall + weighing + vectors + np.arange(len(constraints))
+    targets = np.array([c.factor for c in constraints])
+    nodes = max([c.size for c in constraints if c.kind == "sos"], default=1)
+    order = max([1, *table[ORDER].tolist()])
+    widest = max([nodes, order * order, *con[ROWS].tolist()])
+    lengths = np.array(
+        [matrices] * 11 + [vectors] * 10 + [m + 1] * 8
+        + [compact, compact, factors, nodes * nodes, nodes * nodes, nodes * order, tall, 4 * order * order]
+        + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2, groups * (m + 1), groups, 16]
+    )  # fmt: skip
+    at = np.zeros(_COUNT, dtype=np.int64)
+    # Every storage starts at a multiple of eight numbers, a cache line.
+    starts = np.concatenate([[0], np.cumsum(-(-lengths // 8) * 8)])
+    at[: len(lengths)] = starts[:-1]
+    at[M], at[VECTORS], at[MATRICES], at[GROUPS] = m, vectors, matrices, groups
+    at[LENGTH], at[DEGREE], at[NODES], at[FLATS] = starts[-1], degree, nodes, flat
+    return Layout(con, table, np.concatenate([*bases, *weights, *interior, targets]), at)
+
+
+def memory(lay: Layout) -> State:
+    """Allocate the memory of one solve."""
+    constraints = lay.con.shape[1]
+    ints = np.zeros(8 + constraints * (int(lay.at[M]) + 2), dtype=np.int64)
+    return State(np.zeros(int(lay.at[LENGTH])), ints)
+
+
+def flatten(data: Data, lay: Layout) -> Array:
+    """Numbers of all programs of a batch, (programs, flat): the objective, then the arrays of each constraint."""
+    m, batch = int(lay.at[M]), data.batch
+    out = np.empty((*batch, int(lay.at[FLATS])))
+    out[..., :m] = data.objective
+    for i, c in enumerate(data.structure.constraints):
+        at = int(lay.con[FLAT, i])
+        for array, shape in zip(data.constraints[c.name].values(), c.shapes(m).values(), strict=True):
+            length = int(np.prod(shape, dtype=np.int64))
+            out[..., at : at + length] = array.reshape(*array.shape[: array.ndim - len(shape)], length)
+            at += length
+    return out.reshape(data.count, int(lay.at[FLATS]))
+
+
+@inner
+def matrix_at(store, start, rows, columns):  # type: ignore[no-untyped-def]
+    """Matrix (rows, columns) inside a flat store."""
+    return store[start : start + rows * columns].reshape((rows, columns))
+
+
+@inner
+def block(lay, st, name, b):  # type: ignore[no-untyped-def]
+    """Block b of a matrix storage, (N, N)."""
+    n, start = lay.blk[ORDER, b], lay.at[name] + lay.blk[MATRIX, b]
+    return st.heap[start : start + n * n].reshape((n, n))
+
+
+@inner
+def entries(lay, st, name, b):  # type: ignore[no-untyped-def]
+    """Block b of a matrix storage, flat (N^2,)."""
+    n, start = lay.blk[ORDER, b], lay.at[name] + lay.blk[MATRIX, b]
+    return st.heap[start : start + n * n]
+
+
+@inner
+def part(lay, st, name, i):  # type: ignore[no-untyped-def]
+    """Constraint i's part of a vector storage, (rows,)."""
+    start = lay.at[name] + lay.con[VECTOR, i]
+    return st.heap[start : start + lay.con[ROWS, i]]
+
+
+@inner
+def decision(lay, st, name):  # type: ignore[no-untyped-def]
+    """A decision storage, (m + 1,)."""
+    start = lay.at[name]
+    return st.heap[start : start + lay.at[M] + 1]
+
+
+@inner
+def compact(lay, st, name, i):  # type: ignore[no-untyped-def]
+    """Constraint i's data (G or V): (rows, width), or (width, k^2) for a matrix inequality."""
+    rows, width, start = lay.con[ROWS, i], st.ints[8 + i], lay.at[name] + lay.con[COMPACT, i]
+    if lay.con[KIND, i] == LMI:
+        return st.heap[start : start + width * rows * rows].reshape((width, rows * rows))
+    return st.heap[start : start + rows * width].reshape((rows, width))
+
+
+@inner
+def active(lay, st, i):  # type: ignore[no-untyped-def]
+    """Decision variables that constraint i holds, in order, and m for its constants."""
+    start = 8 + lay.con.shape[1] + i * (lay.at[M] + 1)
+    return st.ints[start : start + st.ints[8 + i]]
+
+
+@inner
+def rows_of(lay, b):  # type: ignore[no-untyped-def]
+    """P of block b, (U, N)."""
+    return matrix_at(lay.numbers, lay.blk[BASIS, b], lay.con[ROWS, lay.blk[OWNER, b]], lay.blk[ORDER, b])
+
+
+@inner
+def weights_of(lay, b):  # type: ignore[no-untyped-def]
+    """Weights g of block b, (U,), or empty where they are one."""
+    start = lay.blk[WEIGHT, b]
+    return lay.numbers[start : start + lay.con[ROWS, lay.blk[OWNER, b]]] if start >= 0 else lay.numbers[:0]
+
+
+@inner
+def tall_of(lay, st, name, b):  # type: ignore[no-untyped-def]
+    """Storage (U, N) of block b: scratch, or P L_Q which is kept for every block."""
+    start = lay.at[name] + (lay.blk[BASIS, b] if name == TALLQ else 0)
+    return matrix_at(st.heap, start, lay.con[ROWS, lay.blk[OWNER, b]], lay.blk[ORDER, b])

@@ -1,0 +1,90 @@
+"""The interior-point method.
+
+In scaled data the program and its dual are, with the homogenising variables tau and kappa,
+
+    c tau + C d = A(Q)              for each sampled sum of squares, A(Q)_u = sum_k g_k p_k' Q_k p_k
+    F0 tau + F(d) = Z               for each matrix inequality
+    h tau + G d = s                 for each cone
+    q tau = C'y + F*(Q) + G'z       one equation for each decision variable
+    0 = q'd + c'y + <F0, Q> + h'z + kappa
+
+Two variants share every line: tau = 1, kappa = 0 and separate steps for the unknowns of the program and of its dual
+(faster, and the first choice), and the self-dual embedding with one common step (slower, but it ends in a certificate
+where there is no optimum). Eliminating everything but d leaves a system of the order of the decision vector, to which
+constraint i adds V_i' V_i: V = L^-1 C with L the factor of a sampled constraint's Schur complement, V = W^-1 G for
+a cone, and V_j = L_Q' F_j L_Z^-T for a matrix inequality. The constants c, F0, h ride along as one more column.
+Source: Mehrotra's predictor-corrector method, as in M. J. Todd, K. C. Toh, R. H. Tutuncu, "On the Nesterov-Todd
+direction in semidefinite programming", SIAM J. Optim. 8 (1998), and Y. Ye, M. J. Todd, S. Mizuno (1994).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aerotube.sos.interior.compiled import entry, inner
+from aerotube.sos.interior.direction import direction
+from aerotube.sos.interior.layout import DEGREE
+from aerotube.sos.interior.measure import judge, measure
+from aerotube.sos.interior.schur import assemble
+from aerotube.sos.interior.state import (
+    HOMOGENEOUS,
+    ITERATIONS,
+    KAPPA,
+    MU,
+    RUNNING,
+    STALLED,
+    STALLS,
+    STATUS,
+    STEP,
+    TAU,
+    factor_blocks,
+    numbers,
+)  # fmt: skip
+from aerotube.sos.interior.step import longest_steps, move, predicted
+
+
+@inner
+def iterate(lay, st):  # type: ignore[no-untyped-def]
+    """One predictor-corrector step from a measured and factored iterate; False if it could not be taken."""
+    number, homogeneous = numbers(lay, st), st.ints[HOMOGENEOUS] == 1
+    tau, kappa, mu = number[TAU], number[KAPPA], number[MU]
+    dtau = direction(lay, st, 0.0, 1.0, False, -tau * kappa)
+    dkappa = (-tau * kappa - kappa * dtau) / tau if homogeneous else 0.0
+    primal, dual = longest_steps(lay, st, 1.0, dtau, dkappa)
+    if homogeneous:
+        sigma = (1.0 - primal) ** 3
+    else:
+        ratio = predicted(lay, st, primal, dual) / (mu * lay.at[DEGREE])
+        sigma = ratio ** max(1.0, 3.0 * min(primal, dual) ** 2)
+    sigma = min(1.0, max(1e-6, sigma))
+    eta = 1.0 - sigma if homogeneous else 1.0
+    side = sigma * mu - tau * kappa - dtau * dkappa
+    dtau = direction(lay, st, sigma * mu, eta, True, side)
+    dkappa = (side - kappa * dtau) / tau if homogeneous else 0.0
+    reach = 0.9 + 0.09 * min(primal, dual)
+    primal, dual = longest_steps(lay, st, 1.0 / reach, dtau, dkappa)
+    primal, dual = min(1.0, reach * primal), min(1.0, reach * dual)
+    number[STEP] = min(primal, dual)
+    st.ints[ITERATIONS] += 1
+    st.ints[STALLS] = st.ints[STALLS] + 1 if number[STEP] < 1e-3 else 0
+    if st.ints[STALLS] >= 3 or not np.isfinite(primal + dual + dtau):
+        return False
+    move(lay, st, primal, dual, dtau, dkappa)
+    return True
+
+
+@entry
+def advance(lay, st, feasibility, optimality, budget):  # type: ignore[no-untyped-def]
+    """Iterate at most `budget` times, or until the status is no longer RUNNING; return the status."""
+    for _ in range(budget):
+        if not factor_blocks(lay, st):
+            st.ints[STATUS] = STALLED
+            break
+        measure(lay, st)
+        st.ints[STATUS] = judge(lay, st, feasibility, optimality)
+        if st.ints[STATUS] != RUNNING:
+            break
+        if not assemble(lay, st) or not iterate(lay, st):
+            st.ints[STATUS] = STALLED
+            break
+    return st.ints[STATUS]

@@ -1,0 +1,133 @@
+"""From flat numbers to flat answers: starting, stopping, choosing the variant, undoing the scaling."""
+
+from __future__ import annotations
+
+from aerotube.sos.interior import scaling, state
+from aerotube.sos.interior.compiled import entry, inner
+from aerotube.sos.interior.layout import (
+    BEST_D,
+    BEST_Q,
+    BEST_Y,
+    COLUMN,
+    FIRST,
+    GROUP,
+    KIND,
+    LAST,
+    LINEAR,
+    LMI,
+    MATRICES,
+    MATRIX,
+    ROW,
+    ROWS,
+    VECTOR,
+    D,
+    M,
+    Q,
+    Y,
+    entries,
+    part,
+)  # fmt: skip
+from aerotube.sos.interior.method import advance
+from aerotube.sos.interior.state import (
+    BEST,
+    BETA,
+    HOMOGENEOUS,
+    INFEASIBLE,
+    ITERATIONS,
+    OMEGA,
+    OPTIMAL,
+    RUNNING,
+    STALLED,
+    STATUS,
+    UNBOUNDED,
+    numbers,
+    scratch,
+)  # fmt: skip
+
+NUMBERS = 16
+"""Length of the head of an answer: the state's numbers, with the status in place 14 and the iterations in 15."""
+ACCEPTED = 10.0
+"""A stalled solve within this factor of the tolerances counts as solved."""
+
+
+@entry
+def begin(lay, st, flat):  # type: ignore[no-untyped-def]
+    """Load a program and set the starting point."""
+    scaling.unpack(lay, st, flat)
+    state.start(lay, st, 0, 1.0)
+
+
+@entry
+def proceed(lay, st, feasibility, optimality, limit, budget):  # type: ignore[no-untyped-def]
+    """Take at most `budget` iterations; True if there is nothing left to do.
+
+    A variant that stalls, or that has not ended after `limit` iterations, gives way to the self-dual embedding.
+    """
+    number = numbers(lay, st)
+    status = advance(lay, st, feasibility, optimality, min(budget, limit - st.ints[ITERATIONS]))
+    if status == RUNNING and st.ints[ITERATIONS] < limit:
+        return False
+    if status in (OPTIMAL, INFEASIBLE, UNBOUNDED):
+        return True
+    if number[BEST] <= ACCEPTED:
+        st.ints[STATUS] = OPTIMAL
+        return True
+    if st.ints[HOMOGENEOUS] == 1 or has_logdet(lay):
+        st.ints[STATUS] = STALLED
+        return True
+    best, used = number[BEST], st.ints[ITERATIONS]
+    state.start(lay, st, 1, 1.0)
+    number[BEST] = best
+    # The embedding has as many iterations again.
+    st.ints[ITERATIONS] = max(0, used - limit)
+    return False
+
+
+@inner
+def has_logdet(lay):  # type: ignore[no-untyped-def]
+    """Whether the program has log-determinant terms, which the embedding does not have."""
+    count = lay.con.shape[1]
+    total = 0.0
+    for i in range(count):
+        total += lay.numbers[lay.numbers.shape[0] - count + i]
+    return total > 0.0
+
+
+@entry
+def finish(lay, st, out):  # type: ignore[no-untyped-def]
+    """Write the answer in the program's own units: the head, then d, the matrices, and the vectors."""
+    m, number = lay.at[M], numbers(lay, st)
+    status = st.ints[STATUS]
+    for k in range(NUMBERS):
+        out[k] = number[k]
+    out[14], out[15] = status, st.ints[ITERATIONS]
+    ray = status in (INFEASIBLE, UNBOUNDED)
+    d = scratch(lay, st, D if ray else BEST_D, m)
+    column = scratch(lay, st, COLUMN, m)
+    row = scratch(lay, st, ROW, lay.at[ROW + 1] - lay.at[ROW])
+    beta, omega = number[BETA], number[OMEGA]
+    for j in range(m):
+        out[NUMBERS + j] = d[j] * column[j] / beta
+    matrices, vectors = NUMBERS + m, NUMBERS + m + lay.at[MATRICES]
+    for i in range(lay.con.shape[1]):
+        kind, group = lay.con[KIND, i], lay.con[GROUP, i]
+        for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
+            source = entries(lay, st, Q if ray else BEST_Q, b)
+            scale = row[group] / omega if kind == LMI else 1.0 / (row[group] * beta)
+            for k in range(source.shape[0]):
+                out[matrices + lay.blk[MATRIX, b] + k] = source[k] * scale
+        if kind != LMI:
+            source = part(lay, st, Y if ray else BEST_Y, i)
+            for r in range(lay.con[ROWS, i]):
+                own = row[group + r] if kind == LINEAR else row[group]
+                out[vectors + lay.con[VECTOR, i] + r] = source[r] * own / omega
+
+
+@entry
+def solve(lay, st, flat, feasibility, optimality, limit, out):  # type: ignore[no-untyped-def]
+    """Solve one program without a deadline."""
+    scaling.unpack(lay, st, flat)
+    state.start(lay, st, 0, 1.0)
+    while not proceed(lay, st, feasibility, optimality, limit, limit):
+        pass
+    finish(lay, st, out)

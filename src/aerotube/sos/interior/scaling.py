@@ -1,0 +1,164 @@
+"""Scaling the numbers of a program and packing them without the decision variables that a constraint does not hold.
+
+Row scales e (one for each constraint, one for each linear row), column scales D (one for each decision variable) and
+two overall scales, beta of the constants and omega of the objective, bring all coefficients near one:
+
+    c -> e beta c,   C -> e C D,   q -> omega D q,   d -> d beta / D,   Q -> e beta Q,   y -> omega y / e.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aerotube.sos.interior.compiled import entry, inner
+from aerotube.sos.interior.layout import (
+    COLUMN,
+    EXTENT,
+    FLAT,
+    GROUP,
+    GROUPS,
+    KIND,
+    LINEAR,
+    LMI,
+    NORM,
+    NUMBER,
+    OBJECTIVE,
+    ROW,
+    ROWS,
+    SOS,
+    G,
+    M,
+    active,
+    compact,
+    decision,
+    matrix_at,
+)  # fmt: skip
+
+SWEEPS = 4
+BETA, OMEGA = 9, 10
+"""Places of the overall scales among the numbers of a state."""
+
+
+@inner
+def _entry(kind, rows, m, flat, r, j):  # type: ignore[no-untyped-def]
+    """Coefficient of variable j (m: the constant) in row r of a constraint, with the sign of `value >= 0`."""
+    if kind == SOS:
+        return flat[r] if j == m else flat[rows + r * m + j]
+    if kind == NORM:
+        k = rows - 1
+        if r == 0:
+            return flat[k * m + k + m] if j == m else flat[k * m + k + j]
+        return flat[k * m + r - 1] if j == m else flat[(r - 1) * m + j]
+    return flat[rows * m + r] if j == m else -flat[r * m + j]
+
+
+@inner
+def _measure(lay, extent, flat):  # type: ignore[no-untyped-def]
+    """Largest magnitude of each variable's coefficients in each group of rows."""
+    m = lay.at[M]
+    extent[:] = 0.0
+    for i in range(lay.con.shape[1]):
+        rows, group, kind = lay.con[ROWS, i], lay.con[GROUP, i], lay.con[KIND, i]
+        own = flat[lay.con[FLAT, i] :]
+        if kind == LMI:
+            square = rows * rows
+            for j in range(m + 1):
+                first = 0 if j == m else (j + 1) * square
+                for k in range(first, first + square):
+                    extent[group, j] = max(extent[group, j], abs(own[k]))
+        elif kind == SOS:
+            for r in range(rows):
+                extent[group, m] = max(extent[group, m], abs(own[r]))
+                for j in range(m):
+                    extent[group, j] = max(extent[group, j], abs(own[rows + r * m + j]))
+        else:
+            for r in range(rows):
+                line = group + r if kind == LINEAR else group
+                for j in range(m + 1):
+                    extent[line, j] = max(extent[line, j], abs(_entry(kind, rows, m, own, r, j)))
+
+
+@inner
+def _power(x):  # type: ignore[no-untyped-def]
+    """Return the power of two nearest to 1 / x, or 1 for x = 0."""
+    return 2.0 ** -np.round(np.log2(x)) if x > 0.0 else 1.0
+
+
+@inner
+def _balance(extent, row, column):  # type: ignore[no-untyped-def]
+    """Choose row and column scales by a few sweeps over the table of magnitudes."""
+    groups, m = extent.shape[0], extent.shape[1] - 1
+    column[:] = 1.0
+    for _ in range(SWEEPS):
+        for g in range(groups):
+            top = 0.0
+            for j in range(m):
+                top = max(top, extent[g, j] * column[j])
+            row[g] = 1.0 / top if top > 0.0 else (1.0 / extent[g, m] if extent[g, m] > 0.0 else 1.0)
+        for j in range(m):
+            top = 0.0
+            for g in range(groups):
+                top = max(top, extent[g, j] * row[g])
+            column[j] = 1.0 / top if top > 0.0 else 1.0
+    for g in range(groups):
+        row[g] = _power(1.0 / row[g])
+    for j in range(m):
+        column[j] = _power(1.0 / column[j])
+
+
+@entry
+def unpack(lay, st, flat):  # type: ignore[no-untyped-def]
+    """Scale the numbers of one program and pack them: G (rows, width), the constants in the last column.
+
+    The data of a matrix inequality are (width, k^2) instead, the constant matrix in the last row.
+    """
+    m = lay.at[M]
+    objective, column = decision(lay, st, OBJECTIVE), decision(lay, st, COLUMN)
+    extent = matrix_at(st.heap, lay.at[EXTENT], lay.at[GROUPS], m + 1)
+    row = st.heap[lay.at[ROW] : lay.at[ROW] + lay.at[GROUPS]]
+    number = st.heap[lay.at[NUMBER] : lay.at[NUMBER] + 16]
+    _measure(lay, extent, flat)
+    _balance(extent, row, column)
+    constant, slope = 0.0, 0.0
+    for g in range(extent.shape[0]):
+        constant = max(constant, extent[g, m] * row[g])
+    for j in range(m):
+        slope = max(slope, abs(flat[j]) * column[j])
+    number[BETA], number[OMEGA] = _power(constant), _power(slope)
+    column[m] = number[BETA]
+    for j in range(m):
+        objective[j] = flat[j] * column[j] * number[OMEGA]
+    for i in range(lay.con.shape[1]):
+        rows, group, kind = lay.con[ROWS, i], lay.con[GROUP, i], lay.con[KIND, i]
+        st.ints[8 + i] = m + 1
+        columns = active(lay, st, i)
+        width = 0
+        for j in range(m):
+            used = False
+            for g in range(rows if kind == LINEAR else 1):
+                used = used or extent[group + g, j] > 0.0
+            if used:
+                columns[width] = j
+                width += 1
+        columns[width] = m
+        st.ints[8 + i] = width + 1
+        _pack(
+            kind, rows, m, flat[lay.con[FLAT, i] :], columns[: width + 1], column, row[group:], compact(lay, st, G, i)
+        )
+
+
+@inner
+def _pack(kind, rows, m, flat, columns, column, row, out):  # type: ignore[no-untyped-def]
+    for a in range(columns.shape[0]):
+        j = columns[a]
+        if kind == LMI:
+            first = 0 if j == m else (j + 1) * rows * rows
+            for r in range(rows):
+                for c in range(rows):
+                    # Symmetrised: only the symmetric part enters the inequality.
+                    both = flat[first + r * rows + c] + flat[first + c * rows + r]
+                    out[a, r * rows + c] = 0.5 * both * column[j] * row[0]
+        else:
+            for r in range(rows):
+                own = row[r] if kind == LINEAR else row[0]
+                out[r, a] = _entry(kind, rows, m, flat, r, j) * column[j] * own

@@ -1,0 +1,114 @@
+"""Dense linear algebra of small matrices, where a library call costs more than the work."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aerotube.sos.interior import blas
+from aerotube.sos.interior.compiled import inner
+
+SMALL = 24
+
+
+@inner
+def try_cholesky(a):  # type: ignore[no-untyped-def]
+    """Overwrite the lower triangle of a small matrix by its factor; stop and say False at the first bad pivot."""
+    n = a.shape[0]
+    if n > SMALL:
+        return blas.cholesky(a)
+    for j in range(n):
+        pivot = a[j, j]
+        for k in range(j):
+            pivot -= a[j, k] * a[j, k]
+        if not pivot > 0.0:
+            return False
+        root = np.sqrt(pivot)
+        a[j, j] = root
+        inverse = 1.0 / root
+        for i in range(j + 1, n):
+            total = a[i, j]
+            for k in range(j):
+                total -= a[i, k] * a[j, k]
+            a[i, j] = total * inverse
+    return True
+
+
+@inner
+def invert_factor(factor, out):  # type: ignore[no-untyped-def]
+    """Out = L^-1 (lower triangle; zeros above) of a lower triangular factor."""
+    n = factor.shape[0]
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = 0.0
+        inverse = 1.0 / factor[i, i]
+        for k in range(i):
+            value = factor[i, k]
+            for j in range(k + 1):
+                out[i, j] -= value * out[k, j]
+        for j in range(i):
+            out[i, j] *= inverse
+        out[i, i] = inverse
+
+
+@inner
+def longest_step(value, change, most, trial):  # type: ignore[no-untyped-def]
+    """A step (not quite the longest) up to `most` that keeps value + step * change positive definite.
+
+    Trial factorisations on a grid that is finer towards long steps; `trial` is scratch of the same shape.
+    """
+    if _stays(value, change, most, trial):
+        return most
+    low, high = 0.0, most
+    for _ in range(7):
+        middle = 0.5 * (low + high)
+        if _stays(value, change, middle, trial):
+            low = middle
+        else:
+            high = middle
+    tiny = 0
+    while low == 0.0 and tiny < 6:
+        high *= 0.1
+        tiny += 1
+        if _stays(value, change, high, trial):
+            low = high
+    return low
+
+
+@inner
+def _stays(value, change, step, trial):  # type: ignore[no-untyped-def]
+    n = value.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            trial[i, j] = value[i, j] + step * change[i, j]
+    return try_cholesky(trial)
+
+
+@inner
+def dot(a, b):  # type: ignore[no-untyped-def]
+    """Inner product of two flat arrays."""
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total
+
+
+@inner
+def add(a, factor, b):  # type: ignore[no-untyped-def]
+    """A += factor * b, flat arrays."""
+    for i in range(a.shape[0]):
+        a[i] += factor * b[i]
+
+
+@inner
+def copy(source, out):  # type: ignore[no-untyped-def]
+    """Copy a flat array; a loop, because array assignment compiles to far more code."""
+    for i in range(source.shape[0]):
+        out[i] = source[i]
+
+
+@inner
+def copy_matrix(source, out):  # type: ignore[no-untyped-def]
+    """Copy a matrix."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            out[i, j] = source[i, j]

@@ -1,0 +1,172 @@
+"""The unknowns of the method: where it starts, and the maps of the data applied to them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aerotube.sos.interior import blas, blocks, cones
+from aerotube.sos.interior.compiled import entry, inner
+from aerotube.sos.interior.layout import (
+    FIRST,
+    INVERSE,
+    KIND,
+    LAST,
+    LINEAR,
+    LMI,
+    LQ,
+    LZ,
+    MATRICES,
+    NORM,
+    NUMBER,
+    ORDER,
+    ROOT,
+    ROWS,
+    SCRATCH,
+    SHORT,
+    SOS,
+    TALL,
+    VECTOR,
+    VECTORS,
+    D,
+    G,
+    Q,
+    S,
+    W,
+    Y,
+    Z,
+    active,
+    block,
+    compact,
+    decision,
+    part,
+    rows_of,
+    tall_of,
+    weights_of,
+)  # fmt: skip
+
+RUNNING, OPTIMAL, INFEASIBLE, UNBOUNDED, STALLED = -1, 0, 2, 3, 4
+# Places among the integers of a state.
+STATUS, ITERATIONS, HOMOGENEOUS, STALLS = range(4)
+# Places among its numbers.
+TAU, KAPPA, MU, PRIMAL, DUAL, GAP, PVALUE, DVALUE, STEP, BETA, OMEGA, DUAL_RAY, BEST, BETA_OMEGA = range(14)
+GAP_RESIDUAL, PRIMAL_RAY = 14, 15
+
+
+@inner
+def numbers(lay, st):  # type: ignore[no-untyped-def]
+    """Scalars of the state."""
+    return st.heap[lay.at[NUMBER] : lay.at[NUMBER] + 16]
+
+
+@inner
+def scratch(lay, st, name, length):  # type: ignore[no-untyped-def]
+    """First numbers of a scratch storage."""
+    return st.heap[lay.at[name] : lay.at[name] + length]
+
+
+@entry
+def start(lay, st, homogeneous, size):  # type: ignore[no-untyped-def]
+    """Set the starting point: Q = size I, y = size * (mean over the domain), so that Z = size I; d = 0."""
+    st.ints[STATUS], st.ints[ITERATIONS], st.ints[HOMOGENEOUS], st.ints[STALLS] = RUNNING, 0, homogeneous, 0
+    number = numbers(lay, st)
+    number[TAU] = 1.0
+    number[KAPPA] = 1.0 if homogeneous == 1 else 0.0
+    number[STEP] = 1.0
+    number[BEST] = np.inf
+    number[BETA_OMEGA] = number[BETA] * number[OMEGA]
+    decision(lay, st, D)[:] = 0.0
+    scratch(lay, st, Q, lay.at[MATRICES])[:] = 0.0
+    scratch(lay, st, Z, lay.at[MATRICES])[:] = 0.0
+    scratch(lay, st, S, lay.at[VECTORS])[:] = 0.0
+    scratch(lay, st, Y, lay.at[VECTORS])[:] = 0.0
+    begin = lay.numbers.shape[0] - lay.con.shape[1] - lay.at[VECTORS]
+    for i in range(lay.con.shape[1]):
+        kind = lay.con[KIND, i]
+        if kind != LMI:
+            s, y = part(lay, st, S, i), part(lay, st, Y, i)
+            if kind == SOS:
+                for u in range(y.shape[0]):
+                    y[u] = size * lay.numbers[begin + lay.con[VECTOR, i] + u]
+            elif kind == NORM:
+                s[0] = y[0] = size
+            else:
+                s[:] = size
+                y[:] = size
+        for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
+            q, z = block(lay, st, Q, b), block(lay, st, Z, b)
+            for k in range(lay.blk[ORDER, b]):
+                q[k, k] = z[k, k] = size
+    moments(lay, st, Y, Z)
+
+
+@inner
+def moments(lay, st, y, out):  # type: ignore[no-untyped-def]
+    """Moment matrices, in storage `out`, of the functionals in storage `y`."""
+    for i in range(lay.con.shape[1]):
+        if lay.con[KIND, i] == SOS:
+            functional = part(lay, st, y, i)
+            for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
+                blocks.moment_matrix(
+                    rows_of(lay, b), weights_of(lay, b), functional, block(lay, st, out, b), tall_of(lay, st, TALL, b)
+                )
+
+
+@inner
+def gather(lay, st, i, d, tau):  # type: ignore[no-untyped-def]
+    """Entries of decision storage `d` that constraint i holds, and tau, in scratch."""
+    columns, source = active(lay, st, i), decision(lay, st, d)
+    width = columns.shape[0]
+    short = scratch(lay, st, SHORT, width)
+    for a in range(width - 1):
+        short[a] = source[columns[a]]
+    short[width - 1] = tau
+    return short
+
+
+@inner
+def values(lay, st, d, tau, i, out):  # type: ignore[no-untyped-def]
+    """Out = value of constraint i at decision storage `d` and tau."""
+    short, data = gather(lay, st, i, d, tau), compact(lay, st, G, i)
+    if lay.con[KIND, i] == LMI:
+        blas.transposed_times_vector(data, short, out, 1.0, 0.0)
+    else:
+        blas.times_vector(data, short, out, 1.0, 0.0)
+
+
+@inner
+def add_adjoint(lay, st, name, i, x, out):  # type: ignore[no-untyped-def]
+    """Out += adjoint of constraint i's data, in storage `name` (G or V), applied to x; out (m + 1,)."""
+    columns, data = active(lay, st, i), compact(lay, st, name, i)
+    short = scratch(lay, st, SHORT, columns.shape[0])
+    if lay.con[KIND, i] == LMI:
+        blas.times_vector(data, x, short, 1.0, 0.0)
+    else:
+        blas.transposed_times_vector(data, x, short, 1.0, 0.0)
+    for a in range(columns.shape[0]):
+        out[columns[a]] += short[a]
+
+
+@inner
+def factor_blocks(lay, st):  # type: ignore[no-untyped-def]
+    """Factor every block and the scaling of every cone; False if a point has left its cone."""
+    for b in range(lay.blk.shape[1]):
+        n = lay.blk[ORDER, b]
+        if not blocks.factor_pair(
+            block(lay, st, Q, b), block(lay, st, Z, b), block(lay, st, LQ, b), block(lay, st, LZ, b),
+            block(lay, st, INVERSE, b), scratch(lay, st, SCRATCH, n * n),
+        ):  # fmt: skip
+            return False
+    for i in range(lay.con.shape[1]):
+        kind = lay.con[KIND, i]
+        if kind in (NORM, LINEAR):
+            s, y, root = part(lay, st, S, i), part(lay, st, Y, i), part(lay, st, ROOT, i)
+            if kind == NORM:
+                root[0] = cones.scale_norm(s, y, part(lay, st, W, i))
+                if not root[0] > 0.0:
+                    return False
+            else:
+                for r in range(lay.con[ROWS, i]):
+                    if not (s[r] > 0.0 and y[r] > 0.0):
+                        return False
+                    root[r] = np.sqrt(s[r] / y[r])
+    return True
