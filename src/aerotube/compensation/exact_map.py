@@ -1,12 +1,13 @@
 r"""The exact-map program of one beat, and its data for many.
 
 In whitened errors z (the initial ellipsoid is the unit ball) the error at the end of the beat is
-:math:`x^+ = r(z, \sigma) + B\hat a`, the law :math:`\hat a = K z`, and its size in the metric :math:`E_1`
+:math:`x^+ = r(z, \sigma) + B_\sigma\hat a`, the law :math:`\hat a = K z`, and its size in the metric :math:`E_1`
 
-.. math:: x^{+T} E_1 x^+ = \hat r^T \hat r + 2\,\hat r^T O \tilde K z + z^T \tilde K^T \tilde K z,
+.. math:: x^{+T} E_1 x^+ \le \hat r^T \hat r + 2\,\hat r^T O_\sigma \tilde K z + z^T \tilde K^T \tilde K z,
 
-with :math:`\hat r = E_1^{1/2} r`, :math:`GG^T = B^T E_1 B`, :math:`\tilde K = G^T K` and
-:math:`O = E_1^{1/2} B G^{-T}`, whose columns are orthonormal. The last term is bounded by a matrix S with
+with :math:`\hat r = E_1^{1/2} r`, :math:`GG^T \succeq B_\sigma^T E_1 B_\sigma` (equal where B does not depend on
+the parameters; effort may be added), :math:`\tilde K = G^T K` and :math:`O_\sigma = E_1^{1/2} B_\sigma G^{-T}`,
+whose columns are then orthonormal. The last term is bounded by a matrix S with
 :math:`\begin{bmatrix} S & \tilde K^T \\ \tilde K & I \end{bmatrix} \succeq 0`, exact at an optimum. Then
 
 * worst case: minimise :math:`\rho_1` such that :math:`\rho_1 - z^T S z - \hat r^T\hat r - 2\hat r^T O\tilde K z`
@@ -91,7 +92,7 @@ class BeatData:
     map_values : ndarray (b, k, U, n)
         Errors at the end of the beat without compensation, at the nodes of the sphere, for every extreme
         parameter value.
-    input_map : ndarray (b, n, m)
+    input_map : ndarray (b, k, n, m)
         Their derivatives with respect to the virtual controls.
     whitening : ndarray (b, n, n)
         ``x = T z``.
@@ -135,7 +136,7 @@ class Scaling:
         ``K = gain @ K~``: G^-T times the square root of the unit.
     rhat : ndarray (b, k, U, n)
         Scaled ``E1^(1/2) r``.
-    O : ndarray (b, n, m)
+    O : ndarray (b, k, n, m)
     """
 
     size: Array
@@ -150,7 +151,8 @@ def scale(data: BeatData) -> Scaling:
     rhat = np.einsum("bij,bkuj->bkui", root, data.map_values)
     size = np.einsum("bkui,bkui->bku", rhat, rhat).max((1, 2))
     size = np.maximum(size, np.finfo(float).tiny)
-    effort = np.einsum("bji,bjk,bkl->bil", data.input_map, data.shape, data.input_map) + data.control_weight
+    effort = _dominating(np.einsum("bkji,bjl,bklm->bkim", data.input_map, data.shape, data.input_map))
+    effort = effort + data.control_weight
     # each control in its own unit first: newtons beside radians would drown in the rounding of the others
     unit = 1.0 / np.sqrt(np.maximum(np.diagonal(effort, axis1=1, axis2=2), np.finfo(float).tiny))
     effort = effort * unit[:, :, None] * unit[:, None, :] + 1e-12 * np.eye(effort.shape[-1])
@@ -160,7 +162,7 @@ def scale(data: BeatData) -> Scaling:
         size=size,
         gain=gain * np.sqrt(size)[:, None, None],
         rhat=rhat / np.sqrt(size)[:, None, None, None],
-        O=root @ data.input_map @ gain,
+        O=root[:, None] @ data.input_map @ gain[:, None],
     )
 
 
@@ -187,7 +189,7 @@ def program_data(structure_: sos.Structure, data: BeatData, scaling: Scaling, si
     objective = np.zeros((beats, structure_.size))
     quadratic = _quadratic_forms(nodes)
     linear = np.zeros((beats, vertices, len(nodes), structure_.size))
-    cross = np.einsum("bkui,bim->bkum", scaling.rhat, scaling.O)
+    cross = np.einsum("bkui,bkim->bkum", scaling.rhat, scaling.O)
     linear[..., K.slice] = (-2.0 * cross[..., None] * nodes[:, None, :]).reshape(*cross.shape[:3], m * n)
     if size == "mean-square":
         N = structure_.variable("N")
@@ -239,6 +241,14 @@ def size_data(structure_: sos.Structure, end: Array, shape: Array) -> tuple[sos.
         f"tube/{k}": (-value[:, k] / unit[:, None], np.ones((value.shape[2], 1))) for k in range(value.shape[1])
     }
     return structure_.data(objective=np.ones(1), constraints=constraints), unit
+
+
+def _dominating(forms: Array) -> Array:
+    """A quadratic form above each of several: their mean plus what sticks out. (b, k, m, m) to (b, m, m)."""
+    mean = forms.mean(1)
+    values, vectors = np.linalg.eigh(forms - mean[:, None])
+    beyond = (vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return np.asarray(mean + beyond.sum(1))
 
 
 def _quadratic_forms(nodes: Array) -> Array:

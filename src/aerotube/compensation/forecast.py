@@ -130,8 +130,12 @@ def _backward(
     cost[beats] = weights[beats]
     filters = []
     for part in parts:
-        seen = moment[:beats, part.errors][:, :, part.errors]
-        filters.append(seen @ np.linalg.pinv(seen + noise[:, part.errors][:, :, part.errors], hermitian=True))
+        heard = noise[:, part.errors][:, :, part.errors]
+        if heard.any():
+            seen = moment[:beats, part.errors][:, :, part.errors]
+            filters.append(np.swapaxes(np.linalg.solve(seen + heard, seen), 1, 2))
+        else:
+            filters.append(np.broadcast_to(np.eye(len(part.errors)), heard.shape))
     for t in range(beats - 1, -1, -1):
         for part, best_guess in zip(parts, filters, strict=True):
             own = np.ix_(part.errors, part.errors)

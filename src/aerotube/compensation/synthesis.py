@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +37,8 @@ class Tubes:
     size, size_nominal : ndarray (T, parts)
         Least ``rho`` in that metric, with the law and without it.
     terminal_shape, terminal_rho : ndarray (T, parts, n, n), (T, parts)
-        Terminal ellipsoids with the law; their shape is that of the image of the initial ellipsoid under the
-        linearised closed loop, slightly rounded.
+        Terminal ellipsoids with the law; their shape is that of the second moments of the errors at the end of
+        the beat that the nodes on the initial ellipsoid lead to, at the extreme parameters.
     nominal_shape, nominal_rho : ndarray (T, parts, n, n), (T, parts)
         The same without compensation.
     certificate : str
@@ -275,9 +276,11 @@ def _synthesise_part(
     limit = np.minimum(-lower, upper)[:, part.controls]
     span = (upper - lower)[:, part.controls]
     usable = limit > 1e-6 * span
-    input_map = linear.B[:, part.errors][:, :, part.controls] * usable[:, None, :]
+    input_map = np.stack([linearise(aircraft, nominal, coordinates, vertex).B for vertex in vertices], axis=1)
+    input_map = input_map[:, :, part.errors][..., part.controls] * usable[:, None, None, :]
+    sample = partial(_sample, aircraft, nominal, coordinates, part, nodes, whitening, vertices)
     data = exact_map.BeatData(
-        map_values=_sample(aircraft, nominal, coordinates, part, nodes, whitening, vertices),
+        map_values=sample(),
         input_map=input_map,
         whitening=whitening,
         shape=_metric(nominal, settings, coordinates, linear, expected, effort, part),
@@ -301,7 +304,7 @@ def _synthesise_part(
     ]
     if progress is not None:
         progress(beats, beats)
-    result = _measure(data, gains, nodes, settings.degree, linear.A[:, part.errors][:, :, part.errors], workers)
+    result = _measure(data, gains, sample(gains), settings.degree, workers)
     return replace(
         result,
         initial_shape=initial_shape,
@@ -328,41 +331,45 @@ def _sample(
     nodes: Array,
     whitening: Array,
     vertices: Array,
+    gains: Array | None = None,
 ) -> Array:
-    """The error map at the nodes, other parts' errors zero: ndarray (T, k, U, n)."""
+    """The error map at the nodes, law included if one is given, other parts' errors zero: ndarray (T, k, U, n)."""
+    start = np.einsum("bij,uj->bui", whitening, nodes)[:, None]
     error = np.zeros((nominal.beats, 1, len(nodes), 8))
-    error[..., part.errors] = np.einsum("bij,uj->bui", whitening, nodes)[:, None]
+    error[..., part.errors] = start
+    increment = None
+    if gains is not None:
+        increment = np.zeros((nominal.beats, 1, len(nodes), 4))
+        increment[..., part.controls] = np.einsum("bmj,bkuj->bkum", gains, start)
     end = error_map(
         aircraft,
         nominal,
         np.arange(nominal.beats),
         coordinates,
         error,
+        increment=increment,
         parameters=np.broadcast_to(vertices[None, :, None, :], (nominal.beats, len(vertices), 1, vertices.shape[1])),
     )
     return np.ascontiguousarray(end[..., part.errors])
 
 
-def _measure(data: exact_map.BeatData, gains: Array, nodes: Array, degree: int, A: Array, workers: int) -> _PartResult:
-    """Sizes and terminal ellipsoids, with the law and without it."""
-    beats, vertices, _, n = data.map_values.shape
+def _measure(data: exact_map.BeatData, gains: Array, with_law: Array, degree: int, workers: int) -> _PartResult:
+    """Sizes and terminal ellipsoids, with the law and without it, from values of the map at the nodes."""
+    beats, vertices, nodes, n = with_law.shape
     structure = exact_map.size_structure(n, vertices, degree)
-    start = np.einsum("bij,uj->bui", data.whitening, nodes)
-    with_law = data.map_values + np.einsum("bim,bmj,buj->bui", data.input_map, gains, start)[:, None]
 
     def least_rho(end: Array, shape: Array) -> Array:
         problem, unit = exact_map.size_data(structure, end, shape)
-        solution = sos.solve(structure, problem, backend="clarabel", workers=workers)
+        solution = sos.solve(structure, problem, backend="clarabel", workers=workers, tolerance=1e-6)
         return np.asarray(np.where(solution.status == sos.Status.OPTIMAL, solution.objective * unit, np.nan))
 
-    def image(matrix: Array) -> Array:
-        spread = matrix @ data.whitening
-        covariance = spread @ np.swapaxes(spread, 1, 2)
-        rounding = 1e-3 * data.whitening @ np.swapaxes(data.whitening, 1, 2)
-        shape = np.linalg.inv(covariance + rounding)
+    def image(end: Array) -> Array:
+        spread = np.einsum("bkui,bkuj->bij", end, end) * (n / (vertices * nodes))
+        rounding = 1e-6 * data.whitening @ np.swapaxes(data.whitening, 1, 2)
+        shape = np.linalg.inv(spread + rounding)
         return np.asarray(0.5 * (shape + np.swapaxes(shape, 1, 2)))
 
-    closed, opened = image(A + data.input_map @ gains), image(A)
+    closed, opened = image(with_law), image(data.map_values)
     empty = np.zeros(0)
     return _PartResult(
         gains=gains,

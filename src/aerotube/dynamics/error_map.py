@@ -88,7 +88,8 @@ class TaylorMap:
         Coefficients of each component of the error at the end of the beat.
     errors, increments, parameters : tuple of int
         Which error components, virtual controls and parameters are variables, in the order of the space's
-        variables. Parameters enter as differences from their nominal values; everything else is held at zero.
+        variables. Parameters enter as differences from the values the map was expanded at; every other error and
+        increment is held at zero.
     """
 
     space: TaylorSpace
@@ -111,6 +112,7 @@ def taylor_map(
     errors: Sequence[int] = range(8),
     increments: Sequence[int] = range(4),
     parameters: Sequence[int] = (),
+    at: Sequence[float] | NDArray[np.float64] | None = None,
 ) -> TaylorMap:
     """Taylor polynomials of the error map, by forward Taylor arithmetic through the aircraft's own equations.
 
@@ -121,6 +123,8 @@ def taylor_map(
         Total degree; the paper's choice is 3 (Section 2.2.1).
     errors, increments, parameters : sequences of int
         The variables; see :class:`TaylorMap`.
+    at : sequence of float, optional
+        Values of the aircraft's parameters; nominal by default.
 
     Returns
     -------
@@ -136,7 +140,7 @@ def taylor_map(
     zero = np.zeros(len(beats))
     error: list[Any] = [zero] * 8
     increment: list[Any] = [zero] * 4
-    sigma: list[Any] = [zero + value for value in aircraft.parameter_nominal]
+    sigma: list[Any] = [zero + value for value in (aircraft.parameter_nominal if at is None else at)]
     targets = [(error, i) for i in errors] + [(increment, i) for i in increments] + [(sigma, i) for i in parameters]
     for variable, (components, i) in enumerate(targets):
         components[i] = space.variable(variable, components[i])
@@ -178,7 +182,12 @@ class Linearisation:
     offset: Array
 
 
-def linearise(aircraft: Aircraft, nominal: Nominal, coordinates: ErrorCoordinates) -> Linearisation:
+def linearise(
+    aircraft: Aircraft,
+    nominal: Nominal,
+    coordinates: ErrorCoordinates,
+    parameters: Sequence[float] | NDArray[np.float64] | None = None,
+) -> Linearisation:
     """Linearise the error map at every beat of a nominal trajectory.
 
     Parameters
@@ -186,12 +195,14 @@ def linearise(aircraft: Aircraft, nominal: Nominal, coordinates: ErrorCoordinate
     aircraft : Aircraft
     nominal : Nominal
     coordinates : ErrorCoordinates
+    parameters : sequence of float, optional
+        Values of the aircraft's parameters; nominal by default.
 
     Returns
     -------
     Linearisation
     """
-    polynomial = taylor_map(aircraft, nominal, np.arange(nominal.beats), coordinates, order=1)
+    polynomial = taylor_map(aircraft, nominal, np.arange(nominal.beats), coordinates, order=1, at=parameters)
     by_variable = {tuple(e): i for i, e in enumerate(polynomial.space.exponents)}
     unit = np.eye(12, dtype=int)
     first = polynomial.coefficients[:, :, [by_variable[tuple(row)] for row in unit]]

@@ -1,0 +1,172 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerotube import sos
+from aerotube.compensation import DECOUPLED, SynthesisSettings, synthesis, synthesise
+from aerotube.dynamics import error_map
+from aerotube.errors import InputError
+from aerotube.nominal import constant_controls
+from aerotube.tube import DisturbanceBox, ellipsoid
+from tests.samples import BOX, HALF_WIDTHS, TABLE2_CONTROL, aircraft, table2, table2_state
+
+BEATS = 3
+TINY = DisturbanceBox(1e-4 * HALF_WIDTHS, {})
+
+
+@pytest.fixture(scope="module")
+def made():
+    return synthesise(aircraft(), table2(BEATS), BOX)
+
+
+def whitened(made, index):
+    tubes = made.tubes
+    return ellipsoid.whitening(tubes.initial_shape[:, index], tubes.initial_rho[:, index])
+
+
+def test_every_beat_has_a_law_of_its_own_half(made):
+    assert made.feasible.all()
+    assert made.messages == []
+    gains = made.law.gains
+    assert (gains[:, :2, 4:] == 0).all()
+    assert (gains[:, 2:, :4] == 0).all()
+    assert np.isfinite(gains).all()
+    np.testing.assert_allclose(made.law.increment(1, HALF_WIDTHS), gains[1] @ HALF_WIDTHS)
+    assert made.tubes.certificate == "solver's word"
+
+
+@pytest.mark.parametrize("noise_weight", [0.0, 1.0])
+def test_for_small_errors_the_law_is_the_regulator_of_the_linearised_map(noise_weight):
+    """Second route: the closed form of the mean-square program where the map is linear and limits are far."""
+    settings = SynthesisSettings(noise_weight=noise_weight, control_weight=0.1)
+    plane, nominal = aircraft(), table2(BEATS)
+    result = synthesise(plane, nominal, TINY, settings)
+    expected = synthesis._forecast(plane, nominal, TINY, settings, result.law.coordinates, result.linearisation)
+    effort = synthesis.effort_weights(plane, nominal, 0.1)
+    for part in DECOUPLED:
+        e, c = list(part.errors), list(part.controls)
+        for t in range(BEATS):
+            A, B = result.linearisation.A[t][np.ix_(e, e)], result.linearisation.B[t][np.ix_(e, c)]
+            P, M, V = (x[np.ix_(e, e)] for x in (expected.cost[t + 1], expected.moment[t], expected.noise[t]))
+            root = whitened(result, DECOUPLED.index(part))[t]
+            M = M + settings.least_expected / 4 * root @ root.T
+            regulator = np.linalg.solve(effort[t][np.ix_(c, c)] + B.T @ P @ B, B.T @ P @ A)
+            gain = -regulator @ M @ np.linalg.inv(M + V)
+            unit = np.sqrt(np.diagonal(effort[t]))[c][:, None] * HALF_WIDTHS[e]
+            np.testing.assert_allclose(
+                result.law.gains[t][np.ix_(c, e)] * unit, gain * unit, atol=2e-3 * abs(gain * unit).max()
+            )
+
+
+@pytest.mark.parametrize("limits", ["box", "ellipsoid"])
+@pytest.mark.parametrize("measurement_error", [0.0, 1.0])
+def test_limits_hold_where_the_law_sees_them(limits, measurement_error):
+    plane, nominal = aircraft(), table2(BEATS)
+    settings = SynthesisSettings(limits=limits, measurement_error=measurement_error)
+    result = synthesise(plane, nominal, BOX, settings)
+    lower, upper = plane.virtual_limits(nominal.states[:-1], nominal.controls)
+    reach = (1 + measurement_error) * result.law.coordinates.box(nominal.states[:-1], HALF_WIDTHS)
+    most = np.einsum("tij,tj->ti", np.abs(result.law.gains), reach)
+    allowed = np.minimum(-lower, upper)
+    assert (most <= allowed * (1 + 1e-6)).all()
+    if limits == "box":
+        assert (most[:, 1] > 0.99 * allowed[:, 1]).all()
+    else:
+        over_the_ellipsoid = np.sqrt(4 * np.einsum("tij,tj->ti", result.law.gains**2, reach**2))
+        assert (over_the_ellipsoid <= allowed * (1 + 1e-6)).all()
+        assert (over_the_ellipsoid[:, 1] > 0.99 * allowed[:, 1]).all()
+
+
+def ends(made, index, error, sigma):
+    """Errors at the end of each beat under the law, of one half, on the true map."""
+    part = made.tubes.parts[index]
+    full = np.zeros((BEATS, *error.shape[1:-1], 8))
+    full[..., part.errors] = error
+    push = np.einsum("tij,t...j->t...i", made.law.gains, full)
+    end = error_map(
+        aircraft(), table2(BEATS), range(BEATS), made.law.coordinates, full, increment=push, parameters=sigma
+    )
+    return end[..., part.errors]
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_tubes_hold_the_true_map_up_to_the_remainder(made, index):
+    """Solver's word and a polynomial: the true map may stick out by the few percent that it leaves out."""
+    rng = np.random.default_rng(index)
+    z = rng.normal(size=(BEATS, 400, 4))
+    z /= np.linalg.norm(z, axis=-1, keepdims=True)
+    error = np.einsum("tij,tuj->tui", whitened(made, index), z)
+    sigma = BOX.parameter_vertices(aircraft())[rng.integers(0, 2, (BEATS, 400))]
+    end = ends(made, index, error, sigma)
+    for shape, rho in (
+        (made.tubes.metric, made.tubes.size),
+        (made.tubes.terminal_shape, made.tubes.terminal_rho),
+    ):
+        value = np.einsum("tui,tij,tuj->tu", end, shape[:, index], end)
+        ratio = value.max(1) / rho[:, index]
+        assert (ratio < 1.05).all()
+        assert (ratio > 0.5).all()
+
+
+def test_compensation_makes_the_tube_smaller(made):
+    assert (made.tubes.size < made.tubes.size_nominal).all()
+
+
+def test_the_worst_case_law_has_the_least_worst_case():
+    plane, nominal = aircraft(), table2(BEATS)
+    worst = synthesise(plane, nominal, BOX, SynthesisSettings(size="worst-case"))
+    mean = synthesise(plane, nominal, BOX, SynthesisSettings())
+    np.testing.assert_allclose(worst.bound, worst.tubes.size, rtol=1e-3)
+    assert (worst.tubes.size <= mean.tubes.size * (1 + 1e-4)).all()
+
+
+def test_a_control_on_its_limit_is_left_alone():
+    control = TABLE2_CONTROL.copy()
+    control[3] = aircraft().control_upper[3]
+    nominal = constant_controls(aircraft(), table2_state(), control, 0.05, 1)
+    result = synthesise(aircraft(), nominal, BOX)
+    assert result.feasible.all()
+    assert (result.law.gains[:, 3] == 0).all()
+    assert np.abs(result.law.gains[:, 2]).max() > 0
+
+
+def test_workers_do_not_change_the_numbers(made):
+    two = synthesise(aircraft(), table2(BEATS), BOX, workers=2)
+    np.testing.assert_array_equal(two.law.gains, made.law.gains)
+    np.testing.assert_array_equal(two.tubes.size, made.tubes.size)
+
+
+def test_a_beat_without_a_law_is_named_and_flown_on_the_nominal_alone(monkeypatch):
+    solve = sos.solve
+
+    def failing(structure, data, **options):
+        solution = solve(structure, data, **options)
+        if len(structure.variables) > 1:
+            solution = replace(solution, status=np.where(np.arange(BEATS) == 1, sos.Status.INFEASIBLE, solution.status))
+        return solution
+
+    monkeypatch.setattr(sos, "solve", failing)
+    result = synthesise(aircraft(), table2(BEATS), BOX)
+    assert not result.feasible[1].any()
+    assert result.feasible[[0, 2]].all()
+    assert (result.law.gains[1] == 0).all()
+    assert len(result.messages) == 2
+    assert "beat 1, longitudinal" in result.messages[0]
+    assert "infeasible" in result.messages[0]
+    np.testing.assert_allclose(result.tubes.size[1], result.tubes.size_nominal[1], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"size": "small"}, "size"),
+        ({"noise_weight": -1.0}, "noise_weight"),
+        ({"control_weight": 0.0}, "control_weight"),
+        ({"degree": 3}, "degree"),
+        ({"algorithm": "three-step"}, "algorithm"),
+    ],
+)
+def test_settings_out_of_range_are_named(change, words):
+    with pytest.raises(InputError, match=words):
+        SynthesisSettings(**change)
