@@ -6,6 +6,7 @@ that a failure or an interruption later on loses nothing of it.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -280,8 +281,10 @@ def compute(prepared: Prepared, record: Record, workers: int = 1, progress: Prog
                 progress(words, (done + share) / total)
 
         tell(0.0)
+        start = time.perf_counter()
         try:
             part(tell)
+            record.seconds[words] = round(time.perf_counter() - start, 3)
         except ComputationError as error:
             record.problems.append(f"{words}: {error}")
     if progress is not None:

@@ -164,7 +164,7 @@ class Synthesis(Setting):
     """How the laws are computed: common keys, and two settings of them."""
 
     algorithm: Literal["decoupled", "coupled"] = "decoupled"
-    backend: Literal["aerotube", "clarabel"] = "clarabel"
+    backend: Literal["aerotube", "clarabel"] = "aerotube"
     noise_free: Setting = Setting()
     noise: Setting = Setting()
 

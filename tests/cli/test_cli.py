@@ -80,7 +80,7 @@ MISTAKES = {
     "throttle beyond its limit": (TEXT.replace("throttle = 0.75", "throttle = 1.5"), [], "beyond its limits of 0 to 1"),
     "horizon of broken beats": (TEXT, ["--horizon", "0.12"], "whole number of beats"),
     "unknown aircraft": (TEXT.replace('model = "f16"', 'model = "f17"'), [], "f17"),
-    "unknown solver": (TEXT.replace('backend = "clarabel"', 'backend = "oracle"'), [], "oracle"),
+    "unknown solver": (TEXT.replace('backend = "aerotube"', 'backend = "oracle"'), [], "oracle"),
     "option out of range": (TEXT, ["--runs", "0"], "draws.runs"),
     "option of the wrong type": (TEXT, ["--runs", "many"], "--runs"),
     "unknown choice": (TEXT, ["--algorithm", "magic"], "decoupled"),

@@ -168,7 +168,8 @@ def _tubes(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str
     first = str(dataset["law"].values[0])
     return (
         "<p>Each beat starts anywhere in the disturbance set; the tube says where the error can be at the end of the "
-        "beat. What a tube is worth depends on its certificate.</p>"
+        "beat. What a tube is worth depends on its certificate. A law that looks beyond the beat (cost-to-go) may "
+        "widen the tube in one state to be rid of an error in another later on.</p>"
         '<div class="scroll"><table><tr><th>law</th><th>certificate of its tubes</th><th class="n">feasible beats</th>'
         '<th class="n">solve, median / p99 (ms)</th><th>settings</th></tr>'
         f"{''.join(rows)}</table></div>"
@@ -241,6 +242,9 @@ def _provenance(dataset: xr.Dataset) -> str:
         "libraries": ", ".join(f"{name} {version}" for name, version in libraries.items()),
         "platform": attributes.get("platform", ""),
         "processor": attributes.get("processor", ""),
+        "time taken": ", ".join(
+            f"{words} {value:.1f} s" for words, value in json.loads(str(attributes.get("seconds", "{}"))).items()
+        ),
         "schema of results.nc": attributes.get("schema_version", ""),
     }
     cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows.items())

@@ -64,6 +64,7 @@ def build(record: Record) -> xr.Dataset:
             "interrupted": int(record.interrupted),
             "runs_per_seed": record.runs,
             "problems": json.dumps(record.problems, ensure_ascii=False),
+            "seconds": json.dumps(record.seconds),
         },
     )
     by_state, by_control = {"units": "see state_units"}, {"units": "see control_units"}

@@ -140,6 +140,8 @@ class Record:
         By (controller, condition).
     problems : list of str
         Computed failures, one sentence each.
+    seconds : dict of float
+        How long each part took, in the order in which they were computed.
     interrupted : bool
     """
 
@@ -161,4 +163,5 @@ class Record:
     laws: dict[str, Law] = field(default_factory=dict)
     cases: dict[tuple[str, str], Case] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
     interrupted: bool = False

@@ -43,6 +43,7 @@ def summarise(dataset: xr.Dataset) -> dict[str, Any]:
     }
     summary |= _of_flights(dataset) | _of_laws(dataset)
     summary["problems"] = json.loads(dataset.attrs["problems"])
+    summary["seconds"] = json.loads(dataset.attrs["seconds"])
     summary["provenance"] = {
         key: dataset.attrs[key]
         for key in (
