@@ -108,9 +108,7 @@ class Nominal(_Section):
                 if source == self.source and not given:
                     raise ValueError(f'source = "{source}" needs nominal.{key}; add it')
                 if source != self.source and given:
-                    raise ValueError(
-                        f'nominal.{key} belongs to source = "{source}", not to "{self.source}"; remove it'
-                    )
+                    raise ValueError(f'nominal.{key} belongs to source = "{source}", not to "{self.source}"; remove it')
         return self
 
 
@@ -267,9 +265,7 @@ def load(path: str | Path | None = None, overrides: Mapping[str, Any] | None = N
         try:
             text = file.read_text(encoding="utf-8")
         except FileNotFoundError:
-            raise InputError(
-                f"scenario {name}: no such file; `aerotube init FILE` writes one to start from"
-            ) from None
+            raise InputError(f"scenario {name}: no such file; `aerotube init FILE` writes one to start from") from None
         except UnicodeDecodeError:
             raise InputError(f"scenario {name} is not text in UTF-8") from None
         except OSError as error:

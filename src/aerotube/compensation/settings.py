@@ -65,7 +65,7 @@ class SynthesisSettings:
         Error coordinates the law works in.
     degree : int
         Degree of the sum-of-squares programs, even.
-    backend : {"clarabel"}
+    backend : {"aerotube", "clarabel"}
         Solver of the programs.
 
     Raises
@@ -84,7 +84,7 @@ class SynthesisSettings:
     least_expected: float = 1e-2
     attitude: Literal["relative", "euler"] = "relative"
     degree: int = 4
-    backend: str = "clarabel"
+    backend: str = "aerotube"
 
     def __post_init__(self) -> None:
         choices = {

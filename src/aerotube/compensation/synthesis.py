@@ -304,7 +304,7 @@ def _synthesise_part(
     ]
     if progress is not None:
         progress(beats, beats)
-    result = _measure(data, gains, sample(gains), settings.degree, workers)
+    result = _measure(data, gains, sample(gains), settings, workers)
     return replace(
         result,
         initial_shape=initial_shape,
@@ -353,14 +353,16 @@ def _sample(
     return np.ascontiguousarray(end[..., part.errors])
 
 
-def _measure(data: exact_map.BeatData, gains: Array, with_law: Array, degree: int, workers: int) -> _PartResult:
+def _measure(
+    data: exact_map.BeatData, gains: Array, with_law: Array, settings: SynthesisSettings, workers: int
+) -> _PartResult:
     """Sizes and terminal ellipsoids, with the law and without it, from values of the map at the nodes."""
     beats, vertices, nodes, n = with_law.shape
-    structure = exact_map.size_structure(n, vertices, degree)
+    structure = exact_map.size_structure(n, vertices, settings.degree)
 
     def least_rho(end: Array, shape: Array) -> Array:
         problem, unit = exact_map.size_data(structure, end, shape)
-        solution = sos.solve(structure, problem, backend="clarabel", workers=workers, tolerance=1e-6)
+        solution = sos.solve(structure, problem, backend=settings.backend, workers=workers)
         return np.asarray(np.where(solution.status == sos.Status.OPTIMAL, solution.objective * unit, np.nan))
 
     def image(end: Array) -> Array:
