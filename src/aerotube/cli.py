@@ -199,7 +199,7 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     if solve["median"] is not None:
         console.print(
             f"{summary['seeds']} seeds of {summary['runs_per_seed']} runs, {summary['horizon_s']:g} s; "
-            f"{summary['feasible_beats']} of {summary['beats']} beats feasible; solving one half takes "
+            f"{summary['feasible_beats']} of {summary['beats']} beats feasible; one program takes "
             f"{solve['median']:.1f} ms (median), {solve['p99']:.1f} ms (99th percentile)",
             soft_wrap=True,
         )

@@ -98,3 +98,36 @@ def test_gusts_are_met_where_the_aircraft_is():
 def test_beats_are_told_as_ranges():
     assert job._ranges(np.array([0, 1, 2, 5, 7, 8])) == "0 to 2, 5, 7 to 8"
     assert job._ranges(np.array([4])) == "4"
+
+
+def computed(workers: int = 1, **draws: int):
+    overrides = {"nominal.horizon": "0.1 s", "flight.estimator": False, "draws.runs": 4}
+    prepared = job.prepare(scenario.load(overrides=overrides | {f"draws.{key}": value for key, value in draws.items()}))
+    record = job.new_record(prepared)
+    job.compute(prepared, record, workers=workers)
+    assert record.problems == []
+    return record
+
+
+def test_the_numbers_do_not_depend_on_workers_nor_on_other_seeds():
+    both, alone = computed(workers=2, seeds=2), computed(workers=1, seeds=1, first_seed=2)
+    for key, law in both.laws.items():
+        np.testing.assert_array_equal(law.gains, alone.laws[key].gains)
+        np.testing.assert_array_equal(law.terminal_rho, alone.laws[key].terminal_rho)
+    for condition in (CALM, NOISE):
+        for controller in ("none", "compensated"):
+            first, second = both.cases[controller, condition], alone.cases[controller, condition]
+            np.testing.assert_array_equal(first.upper_metric[1], second.upper_metric[0])
+
+
+def test_progress_runs_from_nothing_to_all():
+    told = []
+    prepared = job.prepare(
+        scenario.load(overrides={"nominal.horizon": "0.05 s", "flight.noise": "0 %", "draws.runs": 2})
+    )
+    job.compute(prepared, job.new_record(prepared), progress=lambda words, share: told.append((words, share)))
+    shares = [share for _, share in told]
+    assert shares[0] == 0.0
+    assert shares == sorted(shares)
+    assert told[-1] == ("done", 1.0)
+    assert len({words for words, _ in told}) == 6  # two laws, three controllers, and the end

@@ -111,7 +111,7 @@ def _cards(summary: Mapping[str, Any]) -> str:
     if solve["median"] is not None:
         parts = summary["beats"]
         cards.append(
-            '<div class="card"><div class="what">Time to solve one half of one beat</div>'
+            '<div class="card"><div class="what">Time to solve one program</div>'
             f'<div class="number">{solve["median"]:.1f} ms</div>'
             f'<div class="how">99th percentile {solve["p99"]:.1f} ms; {summary["feasible_beats"]} of {parts} beats '
             "feasible</div></div>"

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 #: Raised by one in its last place when a variable is added, in its first when one is renamed or removed.
 SCHEMA_VERSION = "1.0"
 
+#: Where the unit changes along the last axis: one for each label of the axis, in its order.
+_UNITS_BY_STATE, _UNITS_BY_CONTROL = ", ".join(STATE_UNITS), ", ".join(CONTROL_UNITS)
+
 
 def build(record: Record) -> xr.Dataset:
     """Label everything that a run has computed.
@@ -58,7 +61,6 @@ def build(record: Record) -> xr.Dataset:
         attrs=dict(record.provenance)
         | {
             "title": "aerotube results: tubes, laws and flights of one scenario",
-            "Conventions": "CF-1.10",
             "schema_version": SCHEMA_VERSION,
             "complete": int(not record.interrupted and len(record.cases) == _wanted(record)),
             "interrupted": int(record.interrupted),
@@ -67,12 +69,12 @@ def build(record: Record) -> xr.Dataset:
             "seconds": json.dumps(record.seconds),
         },
     )
-    by_state, by_control = {"units": "see state_units"}, {"units": "see control_units"}
+    by_state, by_control = {"units": _UNITS_BY_STATE}, {"units": _UNITS_BY_CONTROL}
     put = dataset.__setitem__
     put("nominal_state", (("time", "state"), record.nominal_error_states, by_state))
     put(
         "nominal_full_state",
-        (("time", "full_state"), record.nominal_states, {"units": "see full_state_units"}),
+        (("time", "full_state"), record.nominal_states, {"units": ", ".join(record.full_state_units)}),
     )
     put("nominal_control", (("beat", "control"), record.nominal_controls, by_control))
     put(
@@ -181,12 +183,12 @@ def _put_cases(dataset: xr.Dataset, record: Record) -> None:
     dataset["error"] = (
         (*case_dims, "run", "time", "state"),
         error,
-        {"units": "see state_units", "long_name": "difference to the nominal, runs of the first seed"},
+        {"units": _UNITS_BY_STATE, "long_name": "difference to the nominal, runs of the first seed"},
     )
     dataset["command"] = (
         (*case_dims, "run", "beat", "control"),
         command,
-        {"units": "see control_units", "long_name": "control, runs of the first seed"},
+        {"units": _UNITS_BY_CONTROL, "long_name": "control, runs of the first seed"},
     )
     dataset["diverged"] = ((*case_dims, "seed", "run"), diverged)
     dataset["flown"] = (
