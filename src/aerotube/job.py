@@ -273,7 +273,8 @@ def compute(prepared: Prepared, record: Record, workers: int = 1, progress: Prog
         Threads that solve; the numbers do not depend on it.
     progress : callable, optional
     """
-    total = len(_SETTINGS) + len(results.CONTROLLERS) * len(prepared.conditions)
+    # One more for the writing, which follows.
+    total = len(_SETTINGS) + len(results.CONTROLLERS) * len(prepared.conditions) + 1
     for done, (words, part) in enumerate(_steps(prepared, record, workers)):
 
         def tell(share: float, done: int = done, words: str = words) -> None:
@@ -288,7 +289,7 @@ def compute(prepared: Prepared, record: Record, workers: int = 1, progress: Prog
         except ComputationError as error:
             record.problems.append(f"{words}: {error}")
     if progress is not None:
-        progress("done", 1.0)
+        progress("results and report", (total - 1) / total)
 
 
 def _steps(prepared: Prepared, record: Record, workers: int) -> Iterator[tuple[str, Callable[[Share], None]]]:
@@ -513,4 +514,7 @@ def run(
         record.problems.append("an unforeseen error ended the run early")
         save(record, target)
         raise
-    return save(record, target)
+    summary = save(record, target)
+    if progress is not None:
+        progress("done", 1.0)
+    return summary

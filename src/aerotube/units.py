@@ -50,9 +50,7 @@ def parse_quantity(value: Any, kind: str) -> float:
     choice = " or ".join(units)
     example = next(iter(units))
     if isinstance(value, bool) or not isinstance(value, str | int | float):
-        raise ValueError(
-            f"{str(value).lower()} is no {kind}; write a number with its unit ({choice}) in quotes"
-        )
+        raise ValueError(f"{str(value).lower()} is no {kind}; write a number with its unit ({choice}) in quotes")
     if not isinstance(value, str):
         raise ValueError(f'{value} has no unit; write it with one, in quotes, such as "{value} {example}"')
     match = _QUANTITY.fullmatch(value)
