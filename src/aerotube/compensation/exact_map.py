@@ -83,6 +83,17 @@ def size_structure(states: int, vertices: int, degree: int) -> sos.Structure:
     return program.compile()
 
 
+@lru_cache(maxsize=32)
+def volume_structure(states: int, vertices: int, degree: int) -> sos.Structure:
+    """Structure of the program that finds a terminal ellipsoid of least volume: maximise ``log det E``."""
+    program = sos.Program()
+    program.symmetric("E", states)
+    for k in range(vertices):
+        program.sos(f"tube/{k}", sos.Sphere(states), degree=degree)
+    program.logdet("volume", size=states)
+    return program.compile()
+
+
 @dataclass(frozen=True)
 class BeatData:
     """What the programs of a batch of beats are made from.
@@ -243,6 +254,36 @@ def size_data(structure_: sos.Structure, end: Array, shape: Array) -> tuple[sos.
     return structure_.data(objective=np.ones(1), constraints=constraints), unit
 
 
+def volume_data(structure_: sos.Structure, end: Array) -> tuple[sos.Data, Array]:
+    """Data of :func:`volume_structure`, and the unit of its ``E``.
+
+    Parameters
+    ----------
+    structure_ : sos.Structure
+    end : ndarray (b, k, U, n)
+        Errors at the end of the beat, law included, at the nodes.
+
+    Returns
+    -------
+    sos.Data
+    unit : ndarray (b, n, n)
+        The ellipsoid is ``x' unit' E unit x <= 1``.
+    """
+    _, vertices, nodes, n = end.shape
+    spread = np.einsum("bkui,bkuj->bij", end, end) * (n / (vertices * nodes))
+    size = np.diagonal(spread, axis1=1, axis2=2)[:, :, None]
+    # directions in which nothing arrives get a width of a millionth, so that the ellipsoid has one
+    unit = np.linalg.inv(np.linalg.cholesky(spread + 1e-12 * size * np.eye(n)))
+    E = structure_.variable("E")
+    linear = -_quadratic_forms(np.einsum("bij,bkuj->bkui", unit, end))
+    form = np.zeros((structure_.size, n, n))
+    rows, columns = np.indices((n, n))
+    form[E.index, rows, columns] = 1.0
+    constraints: dict[str, tuple[Array, ...]] = {f"tube/{k}": (np.ones(nodes), linear[:, k]) for k in range(vertices)}
+    constraints["volume"] = (np.zeros((n, n)), form)
+    return structure_.data(objective=np.zeros(structure_.size), constraints=constraints), unit
+
+
 def _dominating(forms: Array) -> Array:
     """A quadratic form above each of several: their mean plus what sticks out. (b, k, m, m) to (b, m, m)."""
     mean = forms.mean(1)
@@ -251,10 +292,10 @@ def _dominating(forms: Array) -> Array:
     return np.asarray(mean + beyond.sum(1))
 
 
-def _quadratic_forms(nodes: Array) -> Array:
-    """Values of ``z' X z`` at nodes, by the packed lower triangle of X: ndarray (U, n (n + 1) / 2)."""
-    rows, columns = np.tril_indices(nodes.shape[1])
-    return nodes[:, rows] * nodes[:, columns] * np.where(rows == columns, 1.0, 2.0)
+def _quadratic_forms(points: Array) -> Array:
+    """Values of ``z' X z`` at points (..., n), by the packed lower triangle of X: ndarray (..., n (n + 1) / 2)."""
+    rows, columns = np.tril_indices(points.shape[-1])
+    return np.asarray(points[..., rows] * points[..., columns] * np.where(rows == columns, 1.0, 2.0))
 
 
 def _inner_product(matrix: Array) -> Array:

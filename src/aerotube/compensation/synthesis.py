@@ -37,8 +37,7 @@ class Tubes:
     size, size_nominal : ndarray (T, parts)
         Least ``rho`` in that metric, with the law and without it.
     terminal_shape, terminal_rho : ndarray (T, parts, n, n), (T, parts)
-        Terminal ellipsoids with the law; their shape is that of the second moments of the errors at the end of
-        the beat that the nodes on the initial ellipsoid lead to, at the extreme parameters.
+        Terminal ellipsoids of least volume, with the law; ``rho`` is one.
     nominal_shape, nominal_rho : ndarray (T, parts, n, n), (T, parts)
         The same without compensation.
     certificate : str
@@ -357,7 +356,7 @@ def _measure(
     data: exact_map.BeatData, gains: Array, with_law: Array, settings: SynthesisSettings, workers: int
 ) -> _PartResult:
     """Sizes and terminal ellipsoids, with the law and without it, from values of the map at the nodes."""
-    beats, vertices, nodes, n = with_law.shape
+    beats, vertices, _, n = with_law.shape
     structure = exact_map.size_structure(n, vertices, settings.degree)
 
     def least_rho(end: Array, shape: Array) -> Array:
@@ -365,13 +364,13 @@ def _measure(
         solution = sos.solve(structure, problem, backend=settings.backend, workers=workers)
         return np.asarray(np.where(solution.status == sos.Status.OPTIMAL, solution.objective * unit, np.nan))
 
-    def image(end: Array) -> Array:
-        spread = np.einsum("bkui,bkuj->bij", end, end) * (n / (vertices * nodes))
-        rounding = 1e-6 * data.whitening @ np.swapaxes(data.whitening, 1, 2)
-        shape = np.linalg.inv(spread + rounding)
-        return np.asarray(0.5 * (shape + np.swapaxes(shape, 1, 2)))
+    def least_volume(end: Array) -> Array:
+        ellipsoids = exact_map.volume_structure(n, vertices, settings.degree)
+        problem, unit = exact_map.volume_data(ellipsoids, end)
+        solution = sos.solve(ellipsoids, problem, backend="aerotube", workers=workers)
+        shape = np.swapaxes(unit, 1, 2) @ solution["E"] @ unit
+        return np.asarray(np.where((solution.status == sos.Status.OPTIMAL)[:, None, None], shape, np.nan))
 
-    closed, opened = image(with_law), image(data.map_values)
     empty = np.zeros(0)
     return _PartResult(
         gains=gains,
@@ -380,10 +379,10 @@ def _measure(
         metric=data.shape,
         size=least_rho(with_law, data.shape),
         size_nominal=least_rho(data.map_values, data.shape),
-        terminal_shape=closed,
-        terminal_rho=least_rho(with_law, closed),
-        nominal_shape=opened,
-        nominal_rho=least_rho(data.map_values, opened),
+        terminal_shape=least_volume(with_law),
+        terminal_rho=np.ones(beats),
+        nominal_shape=least_volume(data.map_values),
+        nominal_rho=np.ones(beats),
         feasible=np.zeros(beats, dtype=bool),
         messages=[],
         bound=empty,
