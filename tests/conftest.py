@@ -45,6 +45,7 @@ def made_up_case(rng: np.random.Generator, scale: float) -> Case:
         upper_metric=upper,
         mean_metric=0.5 * upper,
         diverged=np.zeros((SEEDS, RUNS), dtype=bool),
+        outside=np.zeros((SEEDS, RUNS), dtype=bool),
         law="made up",
     )
 

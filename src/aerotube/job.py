@@ -306,8 +306,9 @@ def _steps(prepared: Prepared, record: Record, workers: int) -> Iterator[tuple[s
 
             def part(_: Share, controller: str = controller, condition: str = condition) -> None:
                 case = flights.fly(controller, condition)
+                if not any(case is known for known in record.cases.values()):
+                    record.problems.extend(f"{condition}, {controller}: {message}" for message in case.messages)
                 record.cases[controller, condition] = case
-                record.problems.extend(f"{condition}, {controller}: {message}" for message in case.messages)
 
             yield words, part
 
@@ -407,6 +408,7 @@ class _Flights:
             upper_metric=metric.max(axis=1),
             mean_metric=metric.mean(axis=1),
             diverged=diverged.reshape(seeds, runs),
+            outside=flown.outside.reshape(seeds, runs),
             messages=tuple(str(divergence) for divergence in flown.diverged),
             law=words,
         )

@@ -195,6 +195,27 @@ def test_a_computed_failure_keeps_the_rest_and_is_told(capsys, tmp_path, quick):
     assert summary["mean_upper_error"]["lqr"]["mean"] > 0
 
 
+def test_a_diverged_run_is_named_counted_and_kept(capsys, tmp_path, quick):
+    quick(ComputationError("no laws here"))
+    text = TEXT.replace('alpha = "0.5 deg"', 'alpha = "40 deg"').replace('p = "1 deg/s"', 'p = "400 deg/s"')
+    text = text.replace('q = "0.5 deg/s"', 'q = "300 deg/s"')
+    (tmp_path / "wild.toml").write_text(text, encoding="utf-8")
+    options = ["--runs", "10", "--seeds", "2", "--horizon", "1", "--out", tmp_path / "out"]
+    assert aerotube(capsys, "run", tmp_path / "wild.toml", *options)[0] == 1
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    lost = [problem for problem in summary["problems"] if "diverged in beat" in problem]
+    assert lost
+    assert all("run " in problem and "of seed " in problem for problem in lost)
+    assert len(lost) == len(set(lost))
+    dataset = results.read(tmp_path / "out" / "results.nc")
+    told = (
+        dataset["diverged"].sel(controller="lqr").sum()
+        + dataset["diverged"].sel(controller="none", condition=CALM).sum()
+    )
+    assert len(lost) == int(told)
+    assert np.isfinite(dataset["upper_metric"].sel(controller="none")).all()
+
+
 def test_an_interruption_keeps_what_was_finished(capsys, tmp_path, quick, monkeypatch):
     quick(ComputationError("no laws here"))
     flown = []

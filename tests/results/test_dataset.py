@@ -55,6 +55,15 @@ def test_the_summary_is_what_the_cases_give(record):
     assert summary["solve_ms"]["p99"] == pytest.approx(1e3 * np.quantile(seconds, 0.99))
 
 
+def test_lost_runs_are_counted(record):
+    record.cases["lqr", NOISE].diverged[1, [0, 3]] = True
+    record.cases["lqr", NOISE].outside[:, 3] = True
+    summary = results.summarise(results.build(record))
+    assert summary["diverged_runs"][NOISE] == {"none": 0, "compensated": 0, "lqr": 2}
+    assert summary["outside_runs"][NOISE]["lqr"] == 3
+    assert sum(summary["diverged_runs"][CALM].values()) == 0
+
+
 def test_a_beat_counts_as_feasible_when_all_of_it_is(record):
     record.laws["noise"].feasible[3, 1] = False
     record.laws["noise_free"].feasible[4, 0] = False

@@ -141,13 +141,20 @@ def _errors(dataset: xr.Dataset, summary: Mapping[str, Any]) -> str:
         for controller in flown(dataset, name)
         if controller != "none"
     )
+    strayed = "".join(
+        f"<li>{escape(CONDITION_WORDS[name])}, {escape(CONTROLLER_WORDS[controller])}: {count} runs</li>"
+        for name in conditions
+        for controller, count in summary["outside_runs"][name].items()
+        if count
+    )
+    outside = f"<p>Outside the range of the aircraft's tables at some time:</p><ul>{strayed}</ul>" if strayed else ""
     return (
         "<p>The error of a run is the root mean square over the eight states (Eq. 18), in degrees and degrees per "
         "second, the airspeed in hundreds of m/s. The mean upper error is the largest over the runs of a seed, "
         "averaged over time; shown is its mean over the seeds ± their standard deviation.</p>"
         f'<div class="scroll"><table><tr><th>mean upper error (deg)</th>{head}</tr>{"".join(rows)}</table></div>'
         f"<details><summary>Which laws were flown</summary><ul>{laws}</ul></details>"
-        f"{interactive.errors_html(dataset, conditions)}"
+        f"{outside}{interactive.errors_html(dataset, conditions)}"
     )
 
 

@@ -162,6 +162,7 @@ def _put_cases(dataset: xr.Dataset, record: Record) -> None:
     error = np.full((*grid, runs, times, len(STATES)), np.nan)
     command = np.full((*grid, runs, times - 1, len(CONTROLS)), np.nan)
     diverged = np.zeros((*grid, seeds, runs), dtype=bool)
+    outside = np.zeros((*grid, seeds, runs), dtype=bool)
     flown = np.zeros(grid, dtype=bool)
     words = np.full(grid, "", dtype=object)
     for (controller, condition), case in record.cases.items():
@@ -172,7 +173,7 @@ def _put_cases(dataset: xr.Dataset, record: Record) -> None:
             case.error,
             case.command,
         )
-        diverged[at], flown[at], words[at] = case.diverged, True, case.law
+        diverged[at], outside[at], flown[at], words[at] = case.diverged, case.outside, True, case.law
     case_dims = ("controller", "condition")
     metric = {
         "units": "deg",
@@ -190,7 +191,9 @@ def _put_cases(dataset: xr.Dataset, record: Record) -> None:
         command,
         {"units": _UNITS_BY_CONTROL, "long_name": "control, runs of the first seed"},
     )
-    dataset["diverged"] = ((*case_dims, "seed", "run"), diverged)
+    by_run = (*case_dims, "seed", "run")
+    dataset["diverged"] = (by_run, diverged, {"long_name": "from then on the last error counts"})
+    dataset["outside"] = (by_run, outside, {"long_name": "at some time outside the range of the aircraft's tables"})
     dataset["flown"] = (
         case_dims,
         flown,

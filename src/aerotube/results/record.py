@@ -92,6 +92,8 @@ class Case:
         Largest and mean metric (Eq. 18) over the runs of a seed.
     diverged : ndarray of bool (seed, run)
         Runs that diverged; from then on their last error counts.
+    outside : ndarray of bool (seed, run)
+        Runs that at some time were outside the range of the aircraft's tables.
     messages : tuple of str
         One sentence for each diverged run.
     law : str
@@ -103,6 +105,7 @@ class Case:
     upper_metric: Array
     mean_metric: Array
     diverged: NDArray[np.bool_]
+    outside: NDArray[np.bool_]
     messages: tuple[str, ...] = ()
     law: str = ""
 

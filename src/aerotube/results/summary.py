@@ -69,12 +69,16 @@ def _of_flights(dataset: xr.Dataset) -> dict[str, Any]:
             values = errors.get(name)
             ratio = None if values is None or none is None else 1.0 - values / none
             result[f"{key}{suffix}"] = _spread(ratio)
-    if "diverged" in dataset:
-        counts = dataset["diverged"].sum(("seed", "run"))
-        result["diverged_runs"] = {
-            str(condition): {str(c): int(counts.sel(condition=condition, controller=c)) for c in _controllers(dataset)}
-            for condition in dataset["condition"].values
-        }
+    for name in ("diverged", "outside"):
+        if name in dataset:
+            counts = dataset[name].sum(("seed", "run"))
+            result[f"{name}_runs"] = {
+                str(condition): {
+                    controller: int(counts.sel(condition=condition, controller=controller))
+                    for controller in _controllers(dataset)
+                }
+                for condition in dataset["condition"].values
+            }
     return result
 
 
