@@ -65,7 +65,7 @@ def tubes_html(dataset: xr.Dataset, law: str) -> str:
     scenes = {}
     for number, pair in enumerate(PAIRS):
         tube = projection(dataset, law, pair)
-        for which, controller, opacity in (("nominal", "none", 0.25), ("terminal", "compensated", 0.9)):
+        for which, controller, opacity in (("nominal", "none", 0.25), ("terminal", "compensated", 0.6)):
             surface = _surface(tube, which, controller, opacity, pair, first=number == 0)
             figure.add_trace(surface, row=1 + number // 2, col=1 + number % 2)
         scenes["scene" if number == 0 else f"scene{number + 1}"] = {
@@ -74,7 +74,7 @@ def tubes_html(dataset: xr.Dataset, law: str) -> str:
             "zaxis": {"title": {"text": DISPLAY[pair[1]].label}},
             "aspectmode": "manual",
             "aspectratio": {"x": 1.7, "y": 1.0, "z": 1.0},
-            "camera": {"eye": {"x": 1.3, "y": -2.5, "z": 1.0}},
+            "camera": {"eye": {"x": 1.2, "y": -2.3, "z": 0.95}},
         }
     figure.update_layout(
         height=900,

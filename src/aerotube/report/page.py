@@ -249,7 +249,7 @@ def _provenance(dataset: xr.Dataset) -> str:
         "libraries": ", ".join(f"{name} {version}" for name, version in libraries.items()),
         "platform": attributes.get("platform", ""),
         "processor": attributes.get("processor", ""),
-        "time taken": ", ".join(
+        "time taken": "; ".join(
             f"{words} {value:.1f} s" for words, value in json.loads(str(attributes.get("seconds", "{}"))).items()
         ),
         "schema of results.nc": attributes.get("schema_version", ""),

@@ -26,7 +26,9 @@ def provenance(source: Source) -> dict[str, str]:
     dict of str
         Ready to be the attributes of a dataset.
     """
-    libraries = {name: metadata.version(name) for name in _LIBRARIES}
+    # Some are optional, and absent where they are not needed.
+    installed = {distribution.name for distribution in metadata.distributions()}
+    libraries = {name: metadata.version(name) for name in _LIBRARIES if name in installed}
     return {
         "aerotube_version": __version__,
         "scenario_title": source.scenario.title,
