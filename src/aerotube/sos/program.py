@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -129,9 +130,15 @@ class Structure:
     _samplings: Mapping[str, Sampling] = field(repr=False)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Structure) and self._key() == other._key()
+        if self is other:
+            return True
+        return isinstance(other, Structure) and hash(self) == hash(other) and self._key() == other._key()
 
     def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
         return hash(self._key())
 
     def _key(self) -> tuple[Any, ...]:

@@ -63,7 +63,6 @@ def solve(
         raise ValueError(f"the deadline must be positive, got {deadline} s.")
     if workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}.")
-    data.check()
     seconds = np.inf if deadline is None else deadline
     if backend == "aerotube":
         from aerotube.sos.backends import interior
@@ -74,6 +73,7 @@ def solve(
         return Solution(structure, data, objective=objectives(data, found["values"]), backend=backend, **found)
     from aerotube.sos.backends import clarabel
 
+    data.check()
     options: dict[str, Any] = {"tolerance": tolerance, "seconds": seconds, "iterations": iterations}
 
     def run(position: int) -> tuple[Result, float, tuple[float, float, float, float]]:

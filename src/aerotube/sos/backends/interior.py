@@ -106,7 +106,7 @@ def solve(
         taken[k], late[k] = _solve_one(structure, lay, flat[k], out[k], tolerance, seconds, iterations)
 
     # BLAS threads would fight with one another and with ours; one solve keeps to one core.
-    with _single_threaded_blas():
+    with _single_threaded_blas:
         if workers == 1 or count == 1:
             for k in range(count):
                 work(k)
@@ -116,23 +116,37 @@ def solve(
     return _answers(structure, data, lay, out, taken, late)
 
 
-@contextmanager
-def _single_threaded_blas() -> Iterator[None]:
-    with _controller().limit(limits=1, user_api="blas"):
-        yield
+class _SingleThreadedBlas:
+    """Keeps BLAS to one thread while any solve runs; much cheaper than a fresh look at the loaded libraries."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._inside = 0
+        self._libraries: list[Any] | None = None
+        self._before: list[int] = []
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._libraries is None:
+                from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
+
+                found = ThreadpoolController().lib_controllers
+                self._libraries = [lib for lib in found if lib.user_api == "blas"]
+            self._inside += 1
+            if self._inside == 1:
+                self._before = [lib.get_num_threads() for lib in self._libraries]
+                for lib in self._libraries:
+                    lib.set_num_threads(1)
+
+    def __exit__(self, *error: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                for lib, count in zip(self._libraries or [], self._before, strict=True):
+                    lib.set_num_threads(count)
 
 
-def _controller() -> Any:
-    """Handle to the loaded BLAS libraries, looked up once: the look-up takes longer than a small program."""
-    global _threadpools
-    if _threadpools is None:
-        from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
-
-        _threadpools = ThreadpoolController()
-    return _threadpools
-
-
-_threadpools: Any = None
+_single_threaded_blas = _SingleThreadedBlas()
 
 
 def _answers(structure: Structure, data: Data, lay: Layout, out: Array, taken: Array, late: Array) -> dict[str, Any]:

@@ -7,6 +7,7 @@ arguments keep compilation short. The accessors at the end give the parts their 
 from __future__ import annotations
 
 from functools import lru_cache
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
@@ -25,18 +26,17 @@ KIND, ROWS, VECTOR, FIRST, LAST, COMPACT, FACTOR_AT, FLAT, GROUP, TARGET = range
 # Rows of Layout.blk, one column for each matrix block (Gram matrix or matrix inequality).
 ORDER, MATRIX, BASIS, WEIGHT, OWNER = range(5)
 # Matrix storages: one entry for each entry of each block.
-Q, Z, LQ, LZ, INVERSE, DQ, DZ, E, T, MISFIT, BEST_Q = range(11)
+Q, Z, LQ, LZ, INVERSE, DQ, DZ, E, T, MISFIT, BEST_Q, KEPT_DQ, KEPT_DZ = range(13)
 # Vector storages: one entry for each node, cone entry and linear row.
-Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y = range(11, 21)
+Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y, KEPT_DY, KEPT_DS = range(13, 25)
 # Decision storages, (m + 1) entries.
-D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D = range(21, 29)
+D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D, KEPT_DD = range(25, 34)
 # The rest: data, factors, scratch.
-G, V, FACTOR, SQUARE, SQUARE2, TALL, TALLQ, SCRATCH, SHORT, SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = range(
-    29, 44
-)
+G, V, FACTOR, SQUARE, SQUARE2, TALL, TALLQ, SCRATCH, SHORT = range(34, 43)
+SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = range(43, 49)
 # Sizes.
-M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, NODES, FLATS = range(44, 52)
-_COUNT = 52
+M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, NODES, FLATS = range(49, 57)
+_COUNT = 57
 
 
 class Layout(NamedTuple):
@@ -52,7 +52,7 @@ class Layout(NamedTuple):
         Order N; offset in matrix storage; places of P (U x N) and g (U, or -1 for 1) in `numbers`; its constraint.
     numbers : (...)
         Bases, weights, starting functionals (vector storage), log-determinant factors.
-    at : (52,)
+    at : (57,)
         Offset of each storage in the heap, and the sizes.
     """
 
@@ -116,7 +116,7 @@ def layout(structure: Structure) -> Layout:
     order = max([1, *table[ORDER].tolist()])
     widest = max([nodes, order * order, *con[ROWS].tolist()])
     lengths = np.array(
-        [matrices] * 11 + [vectors] * 10 + [m + 1] * 8
+        [matrices] * 13 + [vectors] * 12 + [m + 1] * 9
         + [compact, compact, factors, nodes * nodes, nodes * nodes, nodes * order, tall, 4 * order * order]
         + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2, groups * (m + 1), groups, 16]
     )  # fmt: skip
@@ -136,18 +136,34 @@ def memory(lay: Layout) -> State:
     return State(np.zeros(int(lay.at[LENGTH])), ints)
 
 
+@lru_cache(maxsize=64)
+def _plan(structure: Structure) -> tuple[tuple[str, str, int, int, int], ...]:
+    """Name, key, start, length and number of axes of every array in a program's flat data."""
+    plan, at = [], structure.size
+    for c in structure.constraints:
+        for key, shape in c.shapes(structure.size).items():
+            plan.append((c.name, key, at, prod(shape), len(shape)))
+            at += prod(shape)
+    return tuple(plan)
+
+
 def flatten(data: Data, lay: Layout) -> Array:
-    """Numbers of all programs of a batch, (programs, flat): the objective, then the arrays of each constraint."""
-    m, batch = int(lay.at[M]), data.batch
-    out = np.empty((*batch, int(lay.at[FLATS])))
-    out[..., :m] = data.objective
-    for i, c in enumerate(data.structure.constraints):
-        at = int(lay.con[FLAT, i])
-        for array, shape in zip(data.constraints[c.name].values(), c.shapes(m).values(), strict=True):
-            length = int(np.prod(shape, dtype=np.int64))
-            out[..., at : at + length] = array.reshape(*array.shape[: array.ndim - len(shape)], length)
-            at += length
-    return out.reshape(data.count, int(lay.at[FLATS]))
+    """Numbers of all programs of a batch, (programs, flat): the objective, then the arrays of each constraint.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, naming the constraint.
+    """
+    batch, length = data.batch, int(lay.at[FLATS])
+    out = np.empty((*batch, length))
+    out[..., : data.structure.size] = data.objective
+    for name, key, at, size, axes in _plan(data.structure):
+        array = data.constraints[name][key]
+        out[..., at : at + size] = array.reshape(*array.shape[: array.ndim - axes], size)
+    if not np.isfinite(out).all():
+        data.check()
+    return out.reshape(data.count, length)
 
 
 @inner

@@ -51,20 +51,20 @@ def invert_factor(factor, out):  # type: ignore[no-untyped-def]
 
 
 @inner
-def longest_step(value, change, most, trial):  # type: ignore[no-untyped-def]
+def longest_step(value, change, most, halvings, trial):  # type: ignore[no-untyped-def]
     """A step (not quite the longest) up to `most` that keeps value + step * change positive definite.
 
     Trial factorisations on a grid that is finer towards long steps; `trial` is scratch of the same shape.
     """
     if _stays(value, change, most, trial):
         return most
-    low, high = 0.0, most
-    for _ in range(7):
-        middle = 0.5 * (low + high)
+    low, high, middle = 0.0, most, 0.85 * most
+    for _ in range(halvings):
         if _stays(value, change, middle, trial):
             low = middle
         else:
             high = middle
+        middle = 0.5 * (low + high)
     tiny = 0
     while low == 0.0 and tiny < 6:
         high *= 0.1

@@ -65,8 +65,11 @@ def scratch(lay, st, name, length):  # type: ignore[no-untyped-def]
 
 
 @entry
-def start(lay, st, homogeneous, size):  # type: ignore[no-untyped-def]
-    """Set the starting point: Q = size I, y = size * (mean over the domain), so that Z = size I; d = 0."""
+def start(lay, st, homogeneous, primal, dual):  # type: ignore[no-untyped-def]
+    """Set the starting point: d = 0, Q = primal I, and y = dual * (mean over the domain), so that Z = dual I.
+
+    In a matrix inequality, where Z depends on d and Q multiplies, the two sizes change places.
+    """
     st.ints[STATUS], st.ints[ITERATIONS], st.ints[HOMOGENEOUS], st.ints[STALLS] = RUNNING, 0, homogeneous, 0
     number = numbers(lay, st)
     number[TAU] = 1.0
@@ -86,16 +89,16 @@ def start(lay, st, homogeneous, size):  # type: ignore[no-untyped-def]
             s, y = part(lay, st, S, i), part(lay, st, Y, i)
             if kind == SOS:
                 for u in range(y.shape[0]):
-                    y[u] = size * lay.numbers[begin + lay.con[VECTOR, i] + u]
+                    y[u] = dual * lay.numbers[begin + lay.con[VECTOR, i] + u]
             elif kind == NORM:
-                s[0] = y[0] = size
+                s[0], y[0] = primal, dual
             else:
-                s[:] = size
-                y[:] = size
+                s[:] = primal
+                y[:] = dual
         for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
             q, z = block(lay, st, Q, b), block(lay, st, Z, b)
             for k in range(lay.blk[ORDER, b]):
-                q[k, k] = z[k, k] = size
+                q[k, k], z[k, k] = (dual, primal) if kind == LMI else (primal, dual)
     moments(lay, st, Y, Z)
 
 

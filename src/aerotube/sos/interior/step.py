@@ -11,15 +11,22 @@ from aerotube.sos.interior.layout import (
     DY,
     DZ,
     FIRST,
+    KEPT_DD,
+    KEPT_DQ,
+    KEPT_DS,
+    KEPT_DY,
+    KEPT_DZ,
     KIND,
     LAST,
     LINEAR,
     LMI,
+    MATRICES,
     NORM,
     ORDER,
     SCRATCH,
     SOS,
     TARGET,
+    VECTORS,
     D,
     M,
     Q,
@@ -32,11 +39,11 @@ from aerotube.sos.interior.layout import (
     matrix_at,
     part,
 )  # fmt: skip
-from aerotube.sos.interior.state import BETA_OMEGA, HOMOGENEOUS, KAPPA, TAU, numbers
+from aerotube.sos.interior.state import BETA_OMEGA, HOMOGENEOUS, KAPPA, TAU, numbers, scratch
 
 
 @inner
-def longest_steps(lay, st, most, dtau, dkappa):  # type: ignore[no-untyped-def]
+def longest_steps(lay, st, most, dtau, dkappa, halvings):  # type: ignore[no-untyped-def]
     """Steps (program, dual) that stay in the cones, each at most `most`; one common step if homogeneous."""
     primal, dual = most, most
     for i in range(lay.con.shape[1]):
@@ -44,8 +51,8 @@ def longest_steps(lay, st, most, dtau, dkappa):  # type: ignore[no-untyped-def]
         for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
             trial = matrix_at(st.heap, lay.at[SCRATCH], lay.blk[ORDER, b], lay.blk[ORDER, b])
             of_q, of_z = (primal, dual) if kind == SOS else (dual, primal)
-            of_q = small.longest_step(block(lay, st, Q, b), block(lay, st, DQ, b), of_q, trial)
-            of_z = small.longest_step(block(lay, st, Z, b), block(lay, st, DZ, b), of_z, trial)
+            of_q = small.longest_step(block(lay, st, Q, b), block(lay, st, DQ, b), of_q, halvings, trial)
+            of_z = small.longest_step(block(lay, st, Z, b), block(lay, st, DZ, b), of_z, halvings, trial)
             primal, dual = (of_q, of_z) if kind == SOS else (of_z, of_q)
         if kind in (NORM, LINEAR):
             s, y, ds, dy = part(lay, st, S, i), part(lay, st, Y, i), part(lay, st, DS, i), part(lay, st, DY, i)
@@ -110,3 +117,14 @@ def move(lay, st, primal, dual, dtau, dkappa):  # type: ignore[no-untyped-def]
     number = numbers(lay, st)
     number[TAU] += primal * dtau
     number[KAPPA] += primal * dkappa
+
+
+@inner
+def swap_direction(lay, st, back):  # type: ignore[no-untyped-def]
+    """Keep a copy of the direction, or bring the copy back."""
+    for name, kept, size in (
+        (DQ, KEPT_DQ, lay.at[MATRICES]), (DZ, KEPT_DZ, lay.at[MATRICES]), (DY, KEPT_DY, lay.at[VECTORS]),
+        (DS, KEPT_DS, lay.at[VECTORS]), (DD, KEPT_DD, lay.at[M]),
+    ):  # fmt: skip
+        source, out = (kept, name) if back else (name, kept)
+        small.copy(scratch(lay, st, source, size), scratch(lay, st, out, size))
