@@ -438,6 +438,8 @@ class _Flights:
         words = (
             f"control weight {sweep.control_weight:g}, noise weight {sweep.noise_weight:g}: the best of "
             f"{sweep.scores.size} pairs on the draws of {len(sweep.seeds)} seed(s)"
+            + (", in still air" if self.prepared.gusts is not None else "")
+            + (", without engine lag" if self.chosen.aircraft.engine_lag else "")
         )
         return sweep.law, words
 
