@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from aerotube import job, nominal, scenario
+from aerotube import job, nominal, preparation, scenario
 from aerotube.errors import InputError
 from aerotube.results import CALM, ESTIMATOR, NOISE
 
@@ -15,12 +15,12 @@ def with_nominal(lines: str) -> str:
 
 @pytest.fixture(scope="module")
 def prepared():
-    return job.prepare(scenario.load())
+    return preparation.prepare(scenario.load())
 
 
 def test_the_nominal_is_the_published_manoeuvre(prepared):
     at = np.searchsorted(prepared.nominal.times, [0.5, 1.0, 2.0, 3.0])
-    shown = job.error_states(prepared.nominal.states[at]) * np.array([1.0] + 7 * [180 / np.pi])
+    shown = preparation.error_states(prepared.nominal.states[at]) * np.array([1.0] + 7 * [180 / np.pi])
     V, alpha, q, theta, beta, p, r, phi = range(8)
     published = np.array(
         [
@@ -36,13 +36,13 @@ def test_the_nominal_is_the_published_manoeuvre(prepared):
 
 def test_the_error_states_undo_the_full_state():
     start = scenario.load().scenario.nominal.state
-    back = job.error_states(job.full_state(start))
+    back = preparation.error_states(preparation.full_state(start))
     names = ("V", "alpha", "q", "theta", "beta", "p", "r", "phi")
     np.testing.assert_allclose(back, [getattr(start, name) for name in names], atol=1e-14)
 
 
 def test_drag_and_lift_are_in_wind_axes(prepared):
-    alpha, curves = job.coefficient_curves(prepared.plant)
+    alpha, curves = preparation.coefficient_curves(prepared.plant)
     assert np.degrees(alpha[[0, -1]]) == pytest.approx([-10.0, 25.0])
     assert curves["CD"][-1] == pytest.approx(0.578, abs=5e-4)
     # Symmetric flight has no lateral coefficients; here there is sideslip: side force -0.02 a degree, stable in yaw.
@@ -54,7 +54,7 @@ def test_drag_and_lift_are_in_wind_axes(prepared):
 def test_the_conditions_follow_the_flight_options():
     def conditions(**flight):
         overrides = {f"flight.{key}": value for key, value in flight.items()}
-        return job.prepare(scenario.load(overrides=overrides)).conditions
+        return preparation.prepare(scenario.load(overrides=overrides)).conditions
 
     assert conditions() == (CALM, NOISE, ESTIMATOR)
     assert conditions(estimator=False) == (CALM, NOISE)
@@ -63,9 +63,9 @@ def test_the_conditions_follow_the_flight_options():
 
 def test_a_nominal_from_trim_stays_where_it_is():
     text = with_nominal('source = "trim"\nhorizon = "1 s"\nbeat = "50 ms"\ntrim = {V = "185 m/s", altitude = "3 km"}')
-    made = job.prepare(scenario.parse(text)).nominal
+    made = preparation.prepare(scenario.parse(text)).nominal
     assert made.beats == 20
-    states = job.error_states(made.states)
+    states = preparation.error_states(made.states)
     np.testing.assert_allclose(states, np.broadcast_to(states[0], states.shape), atol=1e-6)
     assert np.degrees(states[0, 1]) == pytest.approx(1.96246, abs=1e-4)
 
@@ -74,25 +74,25 @@ def test_a_nominal_from_trim_stays_where_it_is():
 def test_a_nominal_from_a_file_is_flown_as_it_is_and_cut(prepared, tmp_path, name):
     nominal.write(tmp_path / name, prepared.nominal, prepared.rigid)
     lines = f'source = "file"\nfile = "{name}"\nhorizon = "2 s"\nbeat = "50 ms"'
-    made = job.prepare(scenario.parse(with_nominal(lines), folder=tmp_path)).nominal
+    made = preparation.prepare(scenario.parse(with_nominal(lines), folder=tmp_path)).nominal
     np.testing.assert_allclose(made.states, prepared.nominal.states[:41], rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(made.controls, prepared.nominal.controls[:40])
     with pytest.raises(InputError, match=r"beats of 0\.05 s"):
-        job.prepare(scenario.parse(with_nominal(lines.replace("50 ms", "25 ms")), folder=tmp_path))
+        preparation.prepare(scenario.parse(with_nominal(lines.replace("50 ms", "25 ms")), folder=tmp_path))
     with pytest.raises(InputError, match="3 s long"):
-        job.prepare(scenario.parse(with_nominal(lines.replace('"2 s"', '"4 s"')), folder=tmp_path))
+        preparation.prepare(scenario.parse(with_nominal(lines.replace('"2 s"', '"4 s"')), folder=tmp_path))
 
 
 def test_a_lagging_engine_flies_too():
-    made = job.prepare(scenario.load(overrides={"aircraft.engine_lag": True}))
+    made = preparation.prepare(scenario.load(overrides={"aircraft.engine_lag": True}))
     assert len(made.plant.state_names) == len(made.rigid.state_names) + 1
     assert made.nominal.states.shape[1] == 13
 
 
 def test_gusts_are_met_where_the_aircraft_is():
-    made = job.prepare(scenario.load(overrides={"flight.gusts": "moderate"}))
+    made = preparation.prepare(scenario.load(overrides={"flight.gusts": "moderate"}))
     assert (made.gusts.altitude, made.gusts.speed) == pytest.approx((3000.0, 185.0))
-    assert job.prepare(scenario.load()).gusts is None
+    assert preparation.prepare(scenario.load()).gusts is None
 
 
 def test_beats_are_told_as_ranges():
@@ -102,7 +102,9 @@ def test_beats_are_told_as_ranges():
 
 def computed(workers: int = 1, **draws: int):
     overrides = {"nominal.horizon": "0.1 s", "flight.estimator": False, "draws.runs": 4}
-    prepared = job.prepare(scenario.load(overrides=overrides | {f"draws.{key}": value for key, value in draws.items()}))
+    prepared = preparation.prepare(
+        scenario.load(overrides=overrides | {f"draws.{key}": value for key, value in draws.items()})
+    )
     record = job.new_record(prepared)
     job.compute(prepared, record, workers=workers)
     assert record.problems == []
@@ -122,7 +124,7 @@ def test_the_numbers_do_not_depend_on_workers_nor_on_other_seeds():
 
 def test_progress_runs_from_nothing_to_all():
     told = []
-    prepared = job.prepare(
+    prepared = preparation.prepare(
         scenario.load(overrides={"nominal.horizon": "0.05 s", "flight.noise": "0 %", "draws.runs": 2})
     )
     job.compute(prepared, job.new_record(prepared), progress=lambda words, share: told.append((words, share)))
