@@ -10,6 +10,8 @@ solution = sos.solve(structure, data)  # the largest value of f on the sphere, f
 """
 
 from aerotube.sos.basis import Polynomial
+from aerotube.sos.certificate import Certificate
+from aerotube.sos.check import check_file
 from aerotube.sos.domain import Ball, Domain, Interval, Product, Sphere
 from aerotube.sos.program import Constraint, Data, Program, Structure, Variable
 from aerotube.sos.solution import Solution, Status
@@ -17,6 +19,7 @@ from aerotube.sos.solve import solve
 
 __all__ = [
     "Ball",
+    "Certificate",
     "Constraint",
     "Data",
     "Domain",
@@ -29,5 +32,6 @@ __all__ = [
     "Status",
     "Structure",
     "Variable",
+    "check_file",
     "solve",
 ]

@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerotube.sos.domain import Array
 from aerotube.sos.program import Data, Structure
+
+if TYPE_CHECKING:
+    from aerotube.sos.certificate import Certificate
+    from aerotube.sos.explain import Explanation
 
 
 class Status(IntEnum):
@@ -81,6 +86,18 @@ class Solution:
     def optimal(self) -> NDArray[np.bool_]:
         """Where the program was solved to its tolerances."""
         return np.asarray(self.status == Status.OPTIMAL)
+
+    def certificate(self) -> Certificate:
+        """Bounds that hold rigorously for the polynomials, after residuals and rounding, optimal or not."""
+        from aerotube.sos.certificate import certify
+
+        return certify(self)
+
+    def explain(self, position: tuple[int, ...] = ()) -> Explanation:
+        """Say why the program at a place of the batch is infeasible; ValueError if it is not."""
+        from aerotube.sos.explain import explain
+
+        return explain(self, position)
 
     def describe(self) -> str:
         """Count the outcomes in one sentence."""

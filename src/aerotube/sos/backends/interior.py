@@ -62,19 +62,18 @@ def _solve_one(
     feasibility = min(1e-8, 0.1 * tolerance)
     late = False
     with _room(structure, lay) as state:
-        if np.isinf(seconds):
-            run.solve(lay, state, flat, feasibility, tolerance, iterations, out)
-        else:
-            run.begin(lay, state, flat)
-            longest, before = 0.0, time.perf_counter()
-            while not run.proceed(lay, state, feasibility, tolerance, iterations, 1):
-                now = time.perf_counter()
-                longest, before = max(longest, now - before), now
-                # The next iteration is assumed to take as long as the longest so far.
-                if now - start + longest > seconds:
-                    late = True
-                    break
-            run.finish(lay, state, out)
+        run.begin(lay, state, flat)
+        # With a deadline the clock is read after every iteration, and the next one is taken to last as long as the
+        # longest so far.
+        budget = iterations if np.isinf(seconds) else 1
+        longest, before = 0.0, time.perf_counter()
+        while not run.proceed(lay, state, feasibility, tolerance, iterations, budget):
+            now = time.perf_counter()
+            longest, before = max(longest, now - before), now
+            if now - start + longest > seconds:
+                late = True
+                break
+        run.finish(lay, state, out)
     return time.perf_counter() - start, late
 
 

@@ -21,12 +21,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from aerotube.sos.interior.compiled import entry, inner
+from aerotube.sos.interior.compiled import inner
 from aerotube.sos.interior.direction import direction
 from aerotube.sos.interior.layout import DEGREE
 from aerotube.sos.interior.measure import judge, measure
 from aerotube.sos.interior.schur import assemble
 from aerotube.sos.interior.state import (
+    GAP,
     HOMOGENEOUS,
     ITERATIONS,
     KAPPA,
@@ -47,17 +48,20 @@ COARSE, FINE, CORRECTORS = 3, 6, 2
 
 
 @inner
-def center(lay, st, primal, dual):  # type: ignore[no-untyped-def]
-    """Share of the complementarity to aim at, from the steps that the predictor could take."""
+def center(lay, st, primal, dual, optimality):  # type: ignore[no-untyped-def]
+    """Share of the complementarity to aim at, from the steps that the predictor could take.
+
+    Not far below what is asked for: there the iterates lose the margins that certify them.
+    """
     if st.ints[HOMOGENEOUS] == 1:
         sigma = (1.0 - primal) ** 3
     else:
         sigma = (predicted(lay, st, primal, dual) / (numbers(lay, st)[MU] * lay.at[DEGREE])) ** 3
-    return min(1.0, max(1e-6, sigma))
+    return min(1.0, max(1e-6, sigma, 0.1 * optimality / numbers(lay, st)[GAP]))
 
 
 @inner
-def iterate(lay, st):  # type: ignore[no-untyped-def]
+def iterate(lay, st, optimality):  # type: ignore[no-untyped-def]
     """One predictor-corrector step from a measured and factored iterate; False if it could not be taken.
 
     Further correctors follow unless they shorten the step: they leave the next iterate better centred, and each costs
@@ -68,7 +72,7 @@ def iterate(lay, st):  # type: ignore[no-untyped-def]
     dtau = direction(lay, st, 0.0, 1.0, False, -tau * kappa)
     dkappa = (-tau * kappa - kappa * dtau) / tau if homogeneous else 0.0
     primal, dual = longest_steps(lay, st, 1.0, dtau, dkappa, COARSE)
-    sigma = center(lay, st, primal, dual)
+    sigma = center(lay, st, primal, dual, optimality)
     eta = 1.0 - sigma if homogeneous else 1.0
     best_primal, best_dual, best_tau, best_kappa = 0.0, 0.0, 0.0, 0.0
     for k in range(CORRECTORS + 1):
@@ -92,7 +96,7 @@ def iterate(lay, st):  # type: ignore[no-untyped-def]
     return True
 
 
-@entry
+@inner
 def advance(lay, st, feasibility, optimality, budget):  # type: ignore[no-untyped-def]
     """Iterate at most `budget` times, or until the status is no longer RUNNING; return the status."""
     for _ in range(budget):
@@ -103,7 +107,7 @@ def advance(lay, st, feasibility, optimality, budget):  # type: ignore[no-untype
         st.ints[STATUS] = judge(lay, st, feasibility, optimality)
         if st.ints[STATUS] != RUNNING:
             break
-        if not assemble(lay, st) or not iterate(lay, st):
+        if not assemble(lay, st) or not iterate(lay, st, optimality):
             st.ints[STATUS] = STALLED
             break
     return st.ints[STATUS]

@@ -122,13 +122,3 @@ def finish(lay, st, out):  # type: ignore[no-untyped-def]
             for r in range(lay.con[ROWS, i]):
                 own = row[group + r] if kind == LINEAR else row[group]
                 out[vectors + lay.con[VECTOR, i] + r] = source[r] * own / omega
-
-
-@entry
-def solve(lay, st, flat, feasibility, optimality, limit, out):  # type: ignore[no-untyped-def]
-    """Solve one program without a deadline."""
-    scaling.unpack(lay, st, flat)
-    state.start(lay, st, 0, START_PRIMAL, START_DUAL)
-    while not proceed(lay, st, feasibility, optimality, limit, limit):
-        pass
-    finish(lay, st, out)
