@@ -14,7 +14,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import get_cython_function_address, intrinsic
 
-from aerotube.sos.interior.compiled import inner
+from aerotube.sos.interior.compiled import inner, keep_apart
 
 _intrinsic: Any = intrinsic
 
@@ -59,6 +59,7 @@ def _data(context: Any, array: Any) -> Any:
 @inner
 def gram_lower(a, out, beta):  # type: ignore[no-untyped-def]
     """Lower triangle of out = a a' + beta out; a (n, k), out (n, n)."""
+    keep_apart()
     n, k, one = np.int32(a.shape[0]), np.int32(a.shape[1]), 1.0
     _dsyrk(_ref(_U), _ref(_T), _ref(n), _ref(k), _ref(one), _data(a), _ref(k), _ref(beta), _data(out), _ref(n))
 
@@ -66,6 +67,7 @@ def gram_lower(a, out, beta):  # type: ignore[no-untyped-def]
 @inner
 def inner_lower(a, out):  # type: ignore[no-untyped-def]
     """Lower triangle of out = a' a; a (n, k), out (k, k)."""
+    keep_apart()
     n, k, one, zero = np.int32(a.shape[0]), np.int32(a.shape[1]), 1.0, 0.0
     _dsyrk(_ref(_U), _ref(_N), _ref(k), _ref(n), _ref(one), _data(a), _ref(k), _ref(zero), _data(out), _ref(k))
 
@@ -73,6 +75,7 @@ def inner_lower(a, out):  # type: ignore[no-untyped-def]
 @inner
 def multiply(a, b, out):  # type: ignore[no-untyped-def]
     """Out = a b; a (n, k), b (k, l), out (n, l)."""
+    keep_apart()
     n, k, m, one, zero = np.int32(a.shape[0]), np.int32(a.shape[1]), np.int32(b.shape[1]), 1.0, 0.0
     _dgemm(
         _ref(_N), _ref(_N), _ref(m), _ref(n), _ref(k), _ref(one), _data(b), _ref(m), _data(a), _ref(k),
@@ -83,6 +86,7 @@ def multiply(a, b, out):  # type: ignore[no-untyped-def]
 @inner
 def multiply_first_transposed(a, b, out):  # type: ignore[no-untyped-def]
     """Out = a' b; a (k, n), b (k, l), out (n, l)."""
+    keep_apart()
     n, k, m, one, zero = np.int32(a.shape[1]), np.int32(a.shape[0]), np.int32(b.shape[1]), 1.0, 0.0
     _dgemm(
         _ref(_N), _ref(_T), _ref(m), _ref(n), _ref(k), _ref(one), _data(b), _ref(m), _data(a), _ref(n),
@@ -93,6 +97,7 @@ def multiply_first_transposed(a, b, out):  # type: ignore[no-untyped-def]
 @inner
 def times_vector(a, x, out, alpha, beta):  # type: ignore[no-untyped-def]
     """Out = alpha a x + beta out; a (n, k)."""
+    keep_apart()
     n, k, step = np.int32(a.shape[0]), np.int32(a.shape[1]), np.int32(1)
     _dgemv(
         _ref(_T), _ref(k), _ref(n), _ref(alpha), _data(a), _ref(k), _data(x), _ref(step), _ref(beta), _data(out),
@@ -103,6 +108,7 @@ def times_vector(a, x, out, alpha, beta):  # type: ignore[no-untyped-def]
 @inner
 def transposed_times_vector(a, x, out, alpha, beta):  # type: ignore[no-untyped-def]
     """Out = alpha a' x + beta out; a (n, k)."""
+    keep_apart()
     n, k, step = np.int32(a.shape[0]), np.int32(a.shape[1]), np.int32(1)
     _dgemv(
         _ref(_N), _ref(k), _ref(n), _ref(alpha), _data(a), _ref(k), _data(x), _ref(step), _ref(beta), _data(out),
@@ -113,6 +119,7 @@ def transposed_times_vector(a, x, out, alpha, beta):  # type: ignore[no-untyped-
 @inner
 def cholesky(a):  # type: ignore[no-untyped-def]
     """Overwrite the lower triangle of a by its factor; True if a was positive definite."""
+    keep_apart()
     n, info = np.int32(a.shape[0]), np.int32(0)
     result = np.empty(1, np.int32)
     result[0] = info
@@ -123,6 +130,7 @@ def cholesky(a):  # type: ignore[no-untyped-def]
 @inner
 def solve_lower(factor, b):  # type: ignore[no-untyped-def]
     """Overwrite b (n, k) by L^-1 b."""
+    keep_apart()
     n, k, one = np.int32(b.shape[0]), np.int32(b.shape[1]), 1.0
     _dtrsm(
         _ref(_R), _ref(_U), _ref(_N), _ref(_N), _ref(k), _ref(n), _ref(one), _data(factor), _ref(n), _data(b), _ref(k)
@@ -132,6 +140,7 @@ def solve_lower(factor, b):  # type: ignore[no-untyped-def]
 @inner
 def divide_by_factor(factor, b):  # type: ignore[no-untyped-def]
     """Overwrite b (n, k) by b L^-T, L (k, k)."""
+    keep_apart()
     n, k, one = np.int32(b.shape[0]), np.int32(b.shape[1]), 1.0
     _dtrsm(
         _ref(_L), _ref(_U), _ref(_T), _ref(_N), _ref(k), _ref(n), _ref(one), _data(factor), _ref(k), _data(b), _ref(k)
@@ -141,6 +150,7 @@ def divide_by_factor(factor, b):  # type: ignore[no-untyped-def]
 @inner
 def solve_lower_vector(factor, x):  # type: ignore[no-untyped-def]
     """Overwrite x by L^-1 x."""
+    keep_apart()
     n, step = np.int32(x.shape[0]), np.int32(1)
     _dtrsv(_ref(_U), _ref(_T), _ref(_N), _ref(n), _data(factor), _ref(n), _data(x), _ref(step))
 
@@ -148,5 +158,6 @@ def solve_lower_vector(factor, x):  # type: ignore[no-untyped-def]
 @inner
 def solve_upper_vector(factor, x):  # type: ignore[no-untyped-def]
     """Overwrite x by L^-T x."""
+    keep_apart()
     n, step = np.int32(x.shape[0]), np.int32(1)
     _dtrsv(_ref(_U), _ref(_N), _ref(_N), _ref(n), _data(factor), _ref(n), _data(x), _ref(step))

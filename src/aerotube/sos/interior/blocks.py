@@ -13,12 +13,13 @@ product (P Q P') o (P Z^-1 P'), summed over blocks with weights g g'.
 from __future__ import annotations
 
 from aerotube.sos.interior import blas, small
-from aerotube.sos.interior.compiled import inner
+from aerotube.sos.interior.compiled import inner, keep_apart
 
 
 @inner
 def moment_matrix(p, g, y, out, tall):  # type: ignore[no-untyped-def]
     """Out = sum_u y_u g_u p_u p_u'; tall is scratch (U, N)."""
+    keep_apart()
     rows, n = p.shape
     plain = g.shape[0] == 0
     for u in range(rows):
@@ -31,6 +32,7 @@ def moment_matrix(p, g, y, out, tall):  # type: ignore[no-untyped-def]
 @inner
 def add_values(p, g, gram, factor, out, tall):  # type: ignore[no-untyped-def]
     """out_u += factor * g_u p_u' gram p_u; tall is scratch (U, N)."""
+    keep_apart()
     rows, n = p.shape
     plain = g.shape[0] == 0
     blas.multiply(p, gram, tall)
@@ -55,6 +57,7 @@ def copy_lower(source, out):  # type: ignore[no-untyped-def]
 @inner
 def factor_pair(Q, Z, LQ, LZ, inverse, scratch):  # type: ignore[no-untyped-def]
     """Factors of Q and Z, and the inverse of Z; False if either is not positive definite."""
+    keep_apart()
     n = Q.shape[0]
     copy_lower(Q, LQ)
     copy_lower(Z, LZ)
@@ -72,6 +75,7 @@ def add_schur(p, g, pq, LZ, begin, K1, K2, M, tall, k2):  # type: ignore[no-unty
 
     Also adds to k2 the values of g p'Z^-1 p.
     """
+    keep_apart()
     rows = p.shape[0]
     plain = g.shape[0] == 0
     blas.gram_lower(pq, K1, 0.0)
@@ -97,6 +101,7 @@ def add_schur(p, g, pq, LZ, begin, K1, K2, M, tall, k2):  # type: ignore[no-unty
 @inner
 def symmetric_product(a, b, factor, out, scratch):  # type: ignore[no-untyped-def]
     """Out += factor * sym(a b)."""
+    keep_apart()
     n = a.shape[0]
     c = scratch[: n * n].reshape((n, n))
     blas.multiply(a, b, c)
@@ -115,6 +120,7 @@ def scale_inequality(G, LQ, halfinverse, V):  # type: ignore[no-untyped-def]
 
     The matrices F_i are mostly zeros, so the product is made entry by entry.
     """
+    keep_apart()
     k = LQ.shape[0]
     for a in range(G.shape[0]):
         row = V[a].reshape((k, k))

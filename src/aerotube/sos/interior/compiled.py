@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from numba import njit
+from numba import njit, types
+from numba.extending import intrinsic
 
 OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 
@@ -15,6 +16,20 @@ entry: Any = njit(**OPTIONS)
 # Without the wrappers that Python would call, compilation takes half the time.
 inner: Any = njit(**{**OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True})
 """A function that only compiled functions call."""
+
+
+_intrinsic: Any = intrinsic
+
+
+@_intrinsic
+def keep_apart(context: Any) -> Any:
+    """Keep the function that calls this from being inlined: large ones would be compiled again wherever used."""
+
+    def generate(ctx: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.function.attributes.add("noinline")
+        return ctx.get_dummy_value()
+
+    return types.void(), generate
 
 
 def forget_stale_code(folder: Path) -> None:

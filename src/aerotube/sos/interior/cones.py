@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from aerotube.sos.interior.compiled import inner
+from aerotube.sos.interior.compiled import inner, keep_apart
+
+FORWARD, INVERSE = np.arange(2)
 
 
 @inner
@@ -29,6 +31,7 @@ def residue(x):  # type: ignore[no-untyped-def]
 @inner
 def scale_norm(s, z, w):  # type: ignore[no-untyped-def]
     """Fill w; return root, or 0 if a point is not inside the cone."""
+    keep_apart()
     rs, rz = residue(s), residue(z)
     if not (rs > 0.0 and rz > 0.0 and s[0] > 0.0 and z[0] > 0.0):
         return 0.0
@@ -48,8 +51,9 @@ def scale_norm(s, z, w):  # type: ignore[no-untyped-def]
 @inner
 def apply(w, root, x, out, inverse):  # type: ignore[no-untyped-def]
     """Out = W x, or W^-1 x."""
-    sign = -1.0 if inverse else 1.0
-    factor = 1.0 / root if inverse else root
+    keep_apart()
+    sign = -1.0 if inverse == 1 else 1.0
+    factor = 1.0 / root if inverse == 1 else root
     inner = 0.0
     for i in range(1, x.shape[0]):
         inner += w[i] * x[i]
@@ -63,6 +67,7 @@ def apply(w, root, x, out, inverse):  # type: ignore[no-untyped-def]
 @inner
 def apply_inverse_rows(w, root, matrix, out):  # type: ignore[no-untyped-def]
     """Out = W^-1 matrix, column by column."""
+    keep_apart()
     n, k = matrix.shape
     factor = 1.0 / root
     for c in range(k):
@@ -79,6 +84,7 @@ def apply_inverse_rows(w, root, matrix, out):  # type: ignore[no-untyped-def]
 @inner
 def divide(lam, r, out):  # type: ignore[no-untyped-def]
     """Solve lambda o x = r for x, in the algebra of the cone."""
+    keep_apart()
     inner = 0.0
     for i in range(1, r.shape[0]):
         inner += lam[i] * r[i]
@@ -91,6 +97,7 @@ def divide(lam, r, out):  # type: ignore[no-untyped-def]
 @inner
 def product(a, b, out):  # type: ignore[no-untyped-def]
     """Out = a o b in the algebra of the cone; out is neither a nor b."""
+    keep_apart()
     total = 0.0
     for i in range(a.shape[0]):
         total += a[i] * b[i]
@@ -102,6 +109,7 @@ def product(a, b, out):  # type: ignore[no-untyped-def]
 @inner
 def longest_step(x, change, most):  # type: ignore[no-untyped-def]
     """Longest step up to `most` that keeps x + step * change in the cone."""
+    keep_apart()
     n = x.shape[0]
     a, b, c = change[0] * change[0], x[0] * change[0], residue(x)
     for i in range(1, n):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aerotube.sos.interior import blas, blocks, cones, small
-from aerotube.sos.interior.compiled import inner
+from aerotube.sos.interior.compiled import inner, keep_apart
 from aerotube.sos.interior.layout import (
     DD,
     DQ,
@@ -75,6 +75,7 @@ from aerotube.sos.interior.state import (
 @inner
 def block_targets(lay, st, i, center, eta, second):  # type: ignore[no-untyped-def]
     """T of every block: center Z^-1 - Q, less the second-order term sym(dQ E), less an inequality's residual."""
+    keep_apart()
     goal = max(center, lay.numbers[lay.con[TARGET, i]] * numbers(lay, st)[BETA_OMEGA])
     for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
         n = lay.blk[ORDER, b]
@@ -82,7 +83,7 @@ def block_targets(lay, st, i, center, eta, second):  # type: ignore[no-untyped-d
         target, inverse, current = entries(lay, st, T, b), entries(lay, st, INVERSE, b), entries(lay, st, Q, b)
         for k in range(n * n):
             target[k] = goal * inverse[k] - current[k]
-        if second:
+        if second == 1:
             # Kept in dZ, which is free from here on: a sampled constraint needs its values at the nodes as well.
             correction = entries(lay, st, DZ, b)
             correction[:] = 0.0
@@ -98,12 +99,13 @@ def block_targets(lay, st, i, center, eta, second):  # type: ignore[no-untyped-d
 @inner
 def sampled_side(lay, st, i, center, eta, second):  # type: ignore[no-untyped-def]
     """Find a' of a sampled constraint: L^-1 (A(T) - eta r), with A(Q) written as its value less its residual."""
+    keep_apart()
     a, k2, residual = part(lay, st, A, i), part(lay, st, K2, i), part(lay, st, RESIDUAL, i)
     a[:] = 0.0
-    if center > 0.0 or second or eta < 1.0:
+    if center > 0.0 or second == 1 or eta < 1.0:
         for u in range(a.shape[0]):
             a[u] = center * k2[u] + (1.0 - eta) * residual[u]
-        if second:
+        if second == 1:
             for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
                 blocks.add_values(
                     rows_of(lay, b), weights_of(lay, b), block(lay, st, DZ, b), 1.0, a, tall_of(lay, st, TALL, b)
@@ -115,29 +117,30 @@ def sampled_side(lay, st, i, center, eta, second):  # type: ignore[no-untyped-de
 @inner
 def cone_side(lay, st, i, center, eta, second):  # type: ignore[no-untyped-def]
     r"""Find a' of a cone: lambda \ (center e - lambda o lambda - second-order term) - eta W^-1 r."""
+    keep_apart()
     rows = lay.con[ROWS, i]
     a, residual, root = part(lay, st, A, i), part(lay, st, RESIDUAL, i), part(lay, st, ROOT, i)
     s, y, ds, dy = part(lay, st, S, i), part(lay, st, Y, i), part(lay, st, DS, i), part(lay, st, DY, i)
     if lay.con[KIND, i] != NORM:
         for r in range(rows):
-            right = center - s[r] * y[r] - (ds[r] * dy[r] if second else 0.0)
+            right = center - s[r] * y[r] - (ds[r] * dy[r] if second == 1 else 0.0)
             a[r] = right / np.sqrt(s[r] * y[r]) - eta * residual[r] / root[r]
         return
     w, room = part(lay, st, W, i), scratch(lay, st, SHORT, 4 * rows)
     lam, first, other, right = room[:rows], room[rows : 2 * rows], room[2 * rows : 3 * rows], room[3 * rows :]
-    cones.apply(w, root[0], y, lam, False)
+    cones.apply(w, root[0], y, lam, cones.FORWARD)
     cones.product(lam, lam, right)
     for r in range(rows):
         right[r] = -right[r]
     right[0] += center
-    if second:
-        cones.apply(w, root[0], ds, first, True)
-        cones.apply(w, root[0], dy, other, False)
+    if second == 1:
+        cones.apply(w, root[0], ds, first, cones.INVERSE)
+        cones.apply(w, root[0], dy, other, cones.FORWARD)
         cones.product(first, other, a)
         for r in range(rows):
             right[r] -= a[r]
     cones.divide(lam, right, a)
-    cones.apply(w, root[0], residual, other, True)
+    cones.apply(w, root[0], residual, other, cones.INVERSE)
     for r in range(rows):
         a[r] -= eta * other[r]
 
@@ -145,6 +148,7 @@ def cone_side(lay, st, i, center, eta, second):  # type: ignore[no-untyped-def]
 @inner
 def eliminate(lay, st, eta, tau_side):  # type: ignore[no-untyped-def]
     """Solve for dd from the right-hand side; return dtau (0 unless homogeneous)."""
+    keep_apart()
     m, number = lay.at[M], numbers(lay, st)
     factor = matrix_at(st.heap, lay.at[SCHUR_FACTOR], m, m)
     dd, rhs, rd = decision(lay, st, DD)[:m], decision(lay, st, RHS), decision(lay, st, RD)
@@ -179,6 +183,7 @@ def eliminate(lay, st, eta, tau_side):  # type: ignore[no-untyped-def]
 @inner
 def recover_vectors(lay, st, i, dtau, eta):  # type: ignore[no-untyped-def]
     """Directions of constraint i's multiplier and slack from dd and dtau (dZ for a matrix inequality)."""
+    keep_apart()
     kind = lay.con[KIND, i]
     if kind == LMI:
         values(lay, st, DD, dtau, i, entries(lay, st, DZ, lay.con[FIRST, i]))
@@ -190,7 +195,7 @@ def recover_vectors(lay, st, i, dtau, eta):  # type: ignore[no-untyped-def]
         blas.solve_upper_vector(factor_of(lay, st, i), dy)
         return
     if kind == NORM:
-        cones.apply(part(lay, st, W, i), root[0], a, dy, True)
+        cones.apply(part(lay, st, W, i), root[0], a, dy, cones.INVERSE)
     else:
         for r in range(a.shape[0]):
             dy[r] = a[r] / root[r]
@@ -203,6 +208,7 @@ def recover_vectors(lay, st, i, dtau, eta):  # type: ignore[no-untyped-def]
 @inner
 def recover(lay, st, dtau, eta):  # type: ignore[no-untyped-def]
     """Directions of all multipliers, slacks and matrices."""
+    keep_apart()
     for i in range(lay.con.shape[1]):
         recover_vectors(lay, st, i, dtau, eta)
     moments(lay, st, DY, DZ)
@@ -227,6 +233,7 @@ def direction(lay, st, center, eta, second, tau_side):  # type: ignore[no-untype
 
     With `second`, the products of the previous direction correct the complementarity (Mehrotra).
     """
+    keep_apart()
     rhs = decision(lay, st, RHS)
     rhs[:] = 0.0
     for i in range(lay.con.shape[1]):

@@ -17,25 +17,27 @@ from aerotube.sos.domain import Array
 from aerotube.sos.interior.compiled import inner
 from aerotube.sos.program import Data, Structure
 
-SOS, LMI, NORM, LINEAR = 0, 1, 2, 3
+SOS, LMI, NORM, LINEAR = np.arange(4)
 _KINDS = {"sos": SOS, "lmi": LMI, "logdet": LMI, "norm": NORM, "linear": LINEAR}
 Ints = NDArray[np.int64]
 
+# All places are NumPy integers: plain ones would have every function compiled anew for each of them.
+
 # Rows of Layout.con, one column for each constraint.
-KIND, ROWS, VECTOR, FIRST, LAST, COMPACT, FACTOR_AT, FLAT, GROUP, TARGET = range(10)
+KIND, ROWS, VECTOR, FIRST, LAST, COMPACT, FACTOR_AT, FLAT, GROUP, TARGET = np.arange(10)
 # Rows of Layout.blk, one column for each matrix block (Gram matrix or matrix inequality).
-ORDER, MATRIX, BASIS, WEIGHT, OWNER = range(5)
+ORDER, MATRIX, BASIS, WEIGHT, OWNER = np.arange(5)
 # Matrix storages: one entry for each entry of each block.
-Q, Z, LQ, LZ, INVERSE, DQ, DZ, E, T, MISFIT, BEST_Q, KEPT_DQ, KEPT_DZ = range(13)
+Q, Z, LQ, LZ, INVERSE, DQ, DZ, E, T, MISFIT, BEST_Q, KEPT_DQ, KEPT_DZ = np.arange(13)
 # Vector storages: one entry for each node, cone entry and linear row.
-Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y, KEPT_DY, KEPT_DS = range(13, 25)
+Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y, KEPT_DY, KEPT_DS = np.arange(13, 25)
 # Decision storages, (m + 1) entries.
-D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D, KEPT_DD = range(25, 34)
+D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D, KEPT_DD = np.arange(25, 34)
 # The rest: data, factors, scratch.
-G, V, FACTOR, SQUARE, SQUARE2, TALL, TALLQ, SCRATCH, SHORT = range(34, 43)
-SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = range(43, 49)
+G, V, FACTOR, SQUARE, SQUARE2, TALL, TALLQ, SCRATCH, SHORT = np.arange(34, 43)
+SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = np.arange(43, 49)
 # Sizes.
-M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, NODES, FLATS = range(49, 57)
+M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, NODES, FLATS = np.arange(49, 57)
 _COUNT = 57
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aerotube.sos.interior import blas, small
-from aerotube.sos.interior.compiled import inner
+from aerotube.sos.interior.compiled import inner, keep_apart
 from aerotube.sos.interior.layout import (
     BEST_D,
     BEST_Q,
@@ -75,6 +75,7 @@ RAY_TOLERANCE = 1e-9
 @inner
 def sampled_residual(lay, st, i, residual):  # type: ignore[no-untyped-def]
     """Subtract A(Q) from the values of a sampled constraint; leaves P L_Q for the Schur complement."""
+    keep_apart()
     for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
         pq, weights = tall_of(lay, st, TALLQ, b), weights_of(lay, b)
         blas.multiply(rows_of(lay, b), block(lay, st, LQ, b), pq)
@@ -88,6 +89,7 @@ def sampled_residual(lay, st, i, residual):  # type: ignore[no-untyped-def]
 @inner
 def log_terms(lay, st, i, goal):  # type: ignore[no-untyped-def]
     """A log-determinant term's share of the duality gap: goal (log det Z + log det Q + k - k log goal)."""
+    keep_apart()
     b = lay.con[FIRST, i]
     left, right = block(lay, st, LZ, b), block(lay, st, LQ, b)
     total = left.shape[0] * (1.0 - np.log(goal))
@@ -99,6 +101,7 @@ def log_terms(lay, st, i, goal):  # type: ignore[no-untyped-def]
 @inner
 def measure(lay, st):  # type: ignore[no-untyped-def]
     """Residuals, objectives, complementarity and the quality of the iterate as a ray."""
+    keep_apart()
     number, m = numbers(lay, st), lay.at[M]
     tau = number[TAU]
     rhs = decision(lay, st, RHS)
@@ -170,6 +173,7 @@ def lmi_excess(x, data, tau):  # type: ignore[no-untyped-def]
 @inner
 def judge(lay, st, feasibility, optimality):  # type: ignore[no-untyped-def]
     """Status after `measure`; keeps the best iterate seen."""
+    keep_apart()
     number = numbers(lay, st)
     if number[DUAL_RAY] < RAY_TOLERANCE:
         return INFEASIBLE

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from aerotube.sos.interior.compiled import inner
+from aerotube.sos.interior.compiled import inner, keep_apart
 from aerotube.sos.interior.direction import direction
 from aerotube.sos.interior.layout import DEGREE
 from aerotube.sos.interior.measure import judge, measure
@@ -44,7 +44,8 @@ from aerotube.sos.interior.state import (
 from aerotube.sos.interior.step import longest_steps, move, predicted, swap_direction
 
 REACH = 0.99
-COARSE, FINE, CORRECTORS = 3, 6, 2
+COARSE, FINE, CORRECTORS = np.array([3, 6, 2])
+NO, YES = np.arange(2)
 
 
 @inner
@@ -53,6 +54,7 @@ def center(lay, st, primal, dual, optimality):  # type: ignore[no-untyped-def]
 
     Not far below what is asked for: there the iterates lose the margins that certify them.
     """
+    keep_apart()
     if st.ints[HOMOGENEOUS] == 1:
         sigma = (1.0 - primal) ** 3
     else:
@@ -67,9 +69,10 @@ def iterate(lay, st, optimality):  # type: ignore[no-untyped-def]
     Further correctors follow unless they shorten the step: they leave the next iterate better centred, and each costs
     a fraction of a factorisation.
     """
+    keep_apart()
     number, homogeneous = numbers(lay, st), st.ints[HOMOGENEOUS] == 1
     tau, kappa, mu = number[TAU], number[KAPPA], number[MU]
-    dtau = direction(lay, st, 0.0, 1.0, False, -tau * kappa)
+    dtau = direction(lay, st, 0.0, 1.0, NO, -tau * kappa)
     dkappa = (-tau * kappa - kappa * dtau) / tau if homogeneous else 0.0
     primal, dual = longest_steps(lay, st, 1.0, dtau, dkappa, COARSE)
     sigma = center(lay, st, primal, dual, optimality)
@@ -77,15 +80,15 @@ def iterate(lay, st, optimality):  # type: ignore[no-untyped-def]
     best_primal, best_dual, best_tau, best_kappa = 0.0, 0.0, 0.0, 0.0
     for k in range(CORRECTORS + 1):
         side = sigma * mu - tau * kappa - dtau * dkappa
-        dtau = direction(lay, st, sigma * mu, eta, True, side)
+        dtau = direction(lay, st, sigma * mu, eta, YES, side)
         dkappa = (side - kappa * dtau) / tau if homogeneous else 0.0
         primal, dual = longest_steps(lay, st, 1.0 / REACH, dtau, dkappa, FINE)
         if k > 0 and not min(primal, dual) >= 0.9 * min(best_primal, best_dual):
-            swap_direction(lay, st, True)
+            swap_direction(lay, st, YES)
             break
         best_primal, best_dual, best_tau, best_kappa = primal, dual, dtau, dkappa
         if k < CORRECTORS:
-            swap_direction(lay, st, False)
+            swap_direction(lay, st, NO)
     primal, dual = min(1.0, REACH * best_primal), min(1.0, REACH * best_dual)
     number[STEP] = min(primal, dual)
     st.ints[ITERATIONS] += 1
@@ -99,6 +102,7 @@ def iterate(lay, st, optimality):  # type: ignore[no-untyped-def]
 @inner
 def advance(lay, st, feasibility, optimality, budget):  # type: ignore[no-untyped-def]
     """Iterate at most `budget` times, or until the status is no longer RUNNING; return the status."""
+    keep_apart()
     for _ in range(budget):
         if not factor_blocks(lay, st):
             st.ints[STATUS] = STALLED

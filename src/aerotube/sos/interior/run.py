@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from aerotube.sos.interior import scaling, state
 from aerotube.sos.interior.compiled import entry, inner
 from aerotube.sos.interior.layout import (
@@ -46,6 +48,7 @@ from aerotube.sos.interior.state import (
 
 NUMBERS = 16
 """Length of the head of an answer: the state's numbers, with the status in place 14 and the iterations in 15."""
+DIRECT, EMBEDDED = np.arange(2)
 START_PRIMAL, START_DUAL = 1.0, 3.0
 ACCEPTED = 10.0
 """A stalled solve within this factor of the tolerances counts as solved."""
@@ -55,7 +58,7 @@ ACCEPTED = 10.0
 def begin(lay, st, flat):  # type: ignore[no-untyped-def]
     """Load a program and set the starting point."""
     scaling.unpack(lay, st, flat)
-    state.start(lay, st, 0, START_PRIMAL, START_DUAL)
+    state.start(lay, st, DIRECT, START_PRIMAL, START_DUAL)
 
 
 @entry
@@ -77,7 +80,7 @@ def proceed(lay, st, feasibility, optimality, limit, budget):  # type: ignore[no
         st.ints[STATUS] = STALLED
         return True
     best, used = number[BEST], st.ints[ITERATIONS]
-    state.start(lay, st, 1, 1.0, 1.0)
+    state.start(lay, st, EMBEDDED, 1.0, 1.0)
     number[BEST] = best
     # The embedding has as many iterations again.
     st.ints[ITERATIONS] = max(0, used - limit)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from aerotube.sos.interior.compiled import entry, inner
+from aerotube.sos.interior.compiled import entry, inner, keep_apart
 from aerotube.sos.interior.layout import (
     COLUMN,
     EXTENT,
@@ -55,6 +55,7 @@ def _entry(kind, rows, m, flat, r, j):  # type: ignore[no-untyped-def]
 @inner
 def _measure(lay, extent, flat):  # type: ignore[no-untyped-def]
     """Largest magnitude of each variable's coefficients in each group of rows."""
+    keep_apart()
     m = lay.at[M]
     extent[:] = 0.0
     for i in range(lay.con.shape[1]):
@@ -87,6 +88,7 @@ def _power(x):  # type: ignore[no-untyped-def]
 @inner
 def _balance(extent, row, column):  # type: ignore[no-untyped-def]
     """Choose row and column scales by a few sweeps over the table of magnitudes."""
+    keep_apart()
     groups, m = extent.shape[0], extent.shape[1] - 1
     column[:] = 1.0
     for _ in range(SWEEPS):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from aerotube.sos.interior import blas, blocks, cones, small
-from aerotube.sos.interior.compiled import inner
+from aerotube.sos.interior.compiled import inner, keep_apart
 from aerotube.sos.interior.layout import (
     FACTOR,
     FACTOR_AT,
@@ -51,6 +51,7 @@ def factor_of(lay, st, i):  # type: ignore[no-untyped-def]
 @inner
 def factor_sampled(lay, st, i):  # type: ignore[no-untyped-def]
     """Factor a sampled constraint's Schur complement, with a diagonal lift as small as succeeds."""
+    keep_apart()
     rows, matrix, k2 = lay.con[ROWS, i], factor_of(lay, st, i), part(lay, st, K2, i)
     first = matrix_at(st.heap, lay.at[SQUARE], rows, rows)
     second = matrix_at(st.heap, lay.at[SQUARE2], rows, rows)
@@ -73,6 +74,7 @@ def factor_sampled(lay, st, i):  # type: ignore[no-untyped-def]
 @inner
 def scale_data(lay, st, i, local):  # type: ignore[no-untyped-def]
     """Fill V of constraint i and the lower triangle of its share V'V of the Schur complement."""
+    keep_apart()
     data, scaled = compact(lay, st, G, i), compact(lay, st, V, i)
     rows, kind = lay.con[ROWS, i], lay.con[KIND, i]
     if kind == LMI:
@@ -99,6 +101,7 @@ def scale_data(lay, st, i, local):  # type: ignore[no-untyped-def]
 @inner
 def assemble(lay, st):  # type: ignore[no-untyped-def]
     """Add up the Schur complement (m + 1, m + 1), lower triangle, and factor its leading part; False on failure."""
+    keep_apart()
     m = lay.at[M]
     schur = matrix_at(st.heap, lay.at[SCHUR], m + 1, m + 1)
     schur[:] = 0.0
@@ -117,6 +120,7 @@ def assemble(lay, st):  # type: ignore[no-untyped-def]
 @inner
 def factor_schur(schur, factor):  # type: ignore[no-untyped-def]
     """Cholesky factor of the leading part of the Schur complement, lifted as little as succeeds."""
+    keep_apart()
     m, top = factor.shape[0], 0.0
     for j in range(m):
         top = max(top, schur[j, j])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aerotube.sos.interior import blas
-from aerotube.sos.interior.compiled import inner
+from aerotube.sos.interior.compiled import inner, keep_apart
 
 SMALL = 24
 
@@ -13,6 +13,7 @@ SMALL = 24
 @inner
 def try_cholesky(a):  # type: ignore[no-untyped-def]
     """Overwrite the lower triangle of a small matrix by its factor; stop and say False at the first bad pivot."""
+    keep_apart()
     n = a.shape[0]
     if n > SMALL:
         return blas.cholesky(a)
@@ -36,6 +37,7 @@ def try_cholesky(a):  # type: ignore[no-untyped-def]
 @inner
 def invert_factor(factor, out):  # type: ignore[no-untyped-def]
     """Out = L^-1 (lower triangle; zeros above) of a lower triangular factor."""
+    keep_apart()
     n = factor.shape[0]
     for i in range(n):
         for j in range(n):
@@ -56,6 +58,7 @@ def longest_step(value, change, most, halvings, trial):  # type: ignore[no-untyp
 
     Trial factorisations on a grid that is finer towards long steps; `trial` is scratch of the same shape.
     """
+    keep_apart()
     if _stays(value, change, most, trial):
         return most
     low, high, middle = 0.0, most, 0.85 * most

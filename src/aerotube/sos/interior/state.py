@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aerotube.sos.interior import blas, blocks, cones
-from aerotube.sos.interior.compiled import entry, inner
+from aerotube.sos.interior.compiled import entry, inner, keep_apart
 from aerotube.sos.interior.layout import (
     FIRST,
     INVERSE,
@@ -46,9 +46,9 @@ from aerotube.sos.interior.layout import (
 
 RUNNING, OPTIMAL, INFEASIBLE, UNBOUNDED, STALLED = -1, 0, 2, 3, 4
 # Places among the integers of a state.
-STATUS, ITERATIONS, HOMOGENEOUS, STALLS = range(4)
+STATUS, ITERATIONS, HOMOGENEOUS, STALLS = np.arange(4)
 # Places among its numbers.
-TAU, KAPPA, MU, PRIMAL, DUAL, GAP, PVALUE, DVALUE, STEP, BETA, OMEGA, DUAL_RAY, BEST, BETA_OMEGA = range(14)
+TAU, KAPPA, MU, PRIMAL, DUAL, GAP, PVALUE, DVALUE, STEP, BETA, OMEGA, DUAL_RAY, BEST, BETA_OMEGA = np.arange(14)
 GAP_RESIDUAL, PRIMAL_RAY = 14, 15
 
 
@@ -105,6 +105,7 @@ def start(lay, st, homogeneous, primal, dual):  # type: ignore[no-untyped-def]
 @inner
 def moments(lay, st, y, out):  # type: ignore[no-untyped-def]
     """Moment matrices, in storage `out`, of the functionals in storage `y`."""
+    keep_apart()
     for i in range(lay.con.shape[1]):
         if lay.con[KIND, i] == SOS:
             functional = part(lay, st, y, i)
@@ -117,6 +118,7 @@ def moments(lay, st, y, out):  # type: ignore[no-untyped-def]
 @inner
 def gather(lay, st, i, d, tau):  # type: ignore[no-untyped-def]
     """Entries of decision storage `d` that constraint i holds, and tau, in scratch."""
+    keep_apart()
     columns, source = active(lay, st, i), decision(lay, st, d)
     width = columns.shape[0]
     short = scratch(lay, st, SHORT, width)
@@ -129,6 +131,7 @@ def gather(lay, st, i, d, tau):  # type: ignore[no-untyped-def]
 @inner
 def values(lay, st, d, tau, i, out):  # type: ignore[no-untyped-def]
     """Out = value of constraint i at decision storage `d` and tau."""
+    keep_apart()
     short, data = gather(lay, st, i, d, tau), compact(lay, st, G, i)
     if lay.con[KIND, i] == LMI:
         blas.transposed_times_vector(data, short, out, 1.0, 0.0)
@@ -139,6 +142,7 @@ def values(lay, st, d, tau, i, out):  # type: ignore[no-untyped-def]
 @inner
 def add_adjoint(lay, st, name, i, x, out):  # type: ignore[no-untyped-def]
     """Out += adjoint of constraint i's data, in storage `name` (G or V), applied to x; out (m + 1,)."""
+    keep_apart()
     columns, data = active(lay, st, i), compact(lay, st, name, i)
     short = scratch(lay, st, SHORT, columns.shape[0])
     if lay.con[KIND, i] == LMI:
@@ -152,6 +156,7 @@ def add_adjoint(lay, st, name, i, x, out):  # type: ignore[no-untyped-def]
 @inner
 def factor_blocks(lay, st):  # type: ignore[no-untyped-def]
     """Factor every block and the scaling of every cone; False if a point has left its cone."""
+    keep_apart()
     for b in range(lay.blk.shape[1]):
         n = lay.blk[ORDER, b]
         if not blocks.factor_pair(

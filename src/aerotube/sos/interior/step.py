@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from aerotube.sos.interior import cones, small
-from aerotube.sos.interior.compiled import inner
+from aerotube.sos.interior.compiled import inner, keep_apart
 from aerotube.sos.interior.layout import (
     DD,
     DQ,
@@ -45,6 +45,7 @@ from aerotube.sos.interior.state import BETA_OMEGA, HOMOGENEOUS, KAPPA, TAU, num
 @inner
 def longest_steps(lay, st, most, dtau, dkappa, halvings):  # type: ignore[no-untyped-def]
     """Steps (program, dual) that stay in the cones, each at most `most`; one common step if homogeneous."""
+    keep_apart()
     primal, dual = most, most
     for i in range(lay.con.shape[1]):
         kind = lay.con[KIND, i]
@@ -79,6 +80,7 @@ def longest_steps(lay, st, most, dtau, dkappa, halvings):  # type: ignore[no-unt
 @inner
 def predicted(lay, st, primal, dual):  # type: ignore[no-untyped-def]
     """Complementarity <Q, Z> + s'y after the given steps."""
+    keep_apart()
     total = 0.0
     for i in range(lay.con.shape[1]):
         kind = lay.con[KIND, i]
@@ -101,6 +103,7 @@ def predicted(lay, st, primal, dual):  # type: ignore[no-untyped-def]
 @inner
 def move(lay, st, primal, dual, dtau, dkappa):  # type: ignore[no-untyped-def]
     """Take the step."""
+    keep_apart()
     d, dd = decision(lay, st, D), decision(lay, st, DD)
     for j in range(lay.at[M]):
         d[j] += primal * dd[j]
@@ -122,9 +125,10 @@ def move(lay, st, primal, dual, dtau, dkappa):  # type: ignore[no-untyped-def]
 @inner
 def swap_direction(lay, st, back):  # type: ignore[no-untyped-def]
     """Keep a copy of the direction, or bring the copy back."""
+    keep_apart()
     for name, kept, size in (
         (DQ, KEPT_DQ, lay.at[MATRICES]), (DZ, KEPT_DZ, lay.at[MATRICES]), (DY, KEPT_DY, lay.at[VECTORS]),
         (DS, KEPT_DS, lay.at[VECTORS]), (DD, KEPT_DD, lay.at[M]),
     ):  # fmt: skip
-        source, out = (kept, name) if back else (name, kept)
+        source, out = (kept, name) if back == 1 else (name, kept)
         small.copy(scratch(lay, st, source, size), scratch(lay, st, out, size))
