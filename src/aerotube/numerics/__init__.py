@@ -1,4 +1,4 @@
-"""Plain numerical tools that know no aircraft: tables, attitude, Taylor arithmetic."""
+"""Plain numerical tools that know no aircraft: tables, attitude, Taylor arithmetic, intervals, Taylor models."""
 
 from aerotube.numerics.attitude import (
     body_to_earth,
@@ -11,15 +11,20 @@ from aerotube.numerics.attitude import (
     quaternion_rates,
     wrap_angle,
 )
+from aerotube.numerics.interval import Interval
 from aerotube.numerics.lookup import lookup1, lookup2
 from aerotube.numerics.select import select
 from aerotube.numerics.tables import Table1, Table2, stack1, stack2, table1, table2
 from aerotube.numerics.taylor import Taylor, TaylorSpace
+from aerotube.numerics.taylor_model import ModelSpace, TaylorModel
 
 __all__ = [
+    "Interval",
+    "ModelSpace",
     "Table1",
     "Table2",
     "Taylor",
+    "TaylorModel",
     "TaylorSpace",
     "body_to_earth",
     "earth_to_body",

@@ -1,4 +1,4 @@
-"""Reading tables: with floats, arrays and Taylor polynomials, and inside compiled code."""
+"""Reading tables: with floats, arrays, Taylor polynomials and Taylor models, and inside compiled code."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from aerotube.numerics.table_enclosures import enclose1, enclose2
 from aerotube.numerics.table_kernels import evaluate1, evaluate2, expand1, expand2, point1, point2
 from aerotube.numerics.tables import Table1, Table2
 from aerotube.numerics.taylor import Taylor
+from aerotube.numerics.taylor_model import TaylorModel
 
 Array = NDArray[np.float64]
 
@@ -21,15 +23,17 @@ def lookup1(table: Table1, x: Any) -> Any:
     Parameters
     ----------
     table : Table1
-    x : float, array (...) or Taylor
+    x : float, array (...), Taylor or TaylorModel
 
     Returns
     -------
-    array (outputs, ...), or for a Taylor argument a tuple of Taylor, one an output
+    array (outputs, ...), or for a Taylor or TaylorModel argument a tuple of them, one an output
         A Taylor polynomial is that of the cell which holds its value; on the edge of two cells, of the upper one.
     """
     if isinstance(x, Taylor):
         return _expand1(table, x)
+    if isinstance(x, TaylorModel):
+        return enclose1(table, x)
     points = np.asarray(x, dtype=np.float64)
     values = np.empty((table.outputs, points.size))
     evaluate1(table, _flat(points), values)
@@ -42,16 +46,18 @@ def lookup2(table: Table2, x: Any, y: Any) -> Any:
     Parameters
     ----------
     table : Table2
-    x, y : float, array (...) or Taylor
+    x, y : float, array (...), Taylor or TaylorModel
         Broadcast against each other.
 
     Returns
     -------
-    array (outputs, ...), or if an argument is a Taylor a tuple of Taylor, one an output
+    array (outputs, ...), or if an argument is a Taylor or TaylorModel a tuple of them, one an output
         A Taylor polynomial is that of the cell which holds its value; on the edge of two cells, of the upper one.
     """
     if isinstance(x, Taylor) or isinstance(y, Taylor):
         return _expand2(table, x, y)
+    if isinstance(x, TaylorModel) or isinstance(y, TaylorModel):
+        return enclose2(table, x, y)
     first, second = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
     values = np.empty((table.outputs, first.size))
     evaluate2(table, _flat(first), _flat(second), values)

@@ -1,0 +1,559 @@
+"""Taylor models: a polynomial and a rigorous bound of what it leaves out, batched.
+
+A Taylor model of a function f over a domain D is a polynomial P and a remainder r with ``|f(z) - P(z)| <= r`` for all
+z in D. Code written in plain NumPy runs on models unchanged and gives a model of its result: the polynomial part is
+that of `aerotube.numerics.Taylor` up to rounding, and the remainder covers truncation, rounding and the remainders of
+the arguments.
+
+The domain is a product of unit balls, of which an interval [-1, 1] is the one-dimensional case; a box is as many
+intervals. On a ball, the part p of one degree d of a polynomial obeys ``|p(z)|**2 <= sum of c**2 / multinomial(e)``
+over its coefficients c and exponents e (p is a symmetric tensor applied to d copies of z; Cauchy and Schwarz), exactly
+for d = 1, and this norm of a product is at most the product of the norms (B. Beauzamy, E. Bombieri, P. Enflo, H. L.
+Montgomery, "Products of polynomials in many variables", J. Number Theory 36, 1990). What a product leaves out is so
+bounded without being computed.
+
+Functions of one variable are expanded to the order of the space; the next coefficient, enclosed over the whole range
+of the argument, bounds the rest (Lagrange).
+
+Reference: K. Makino, M. Berz, "Taylor models and other validated functional inclusion methods", Int. J. Pure Appl.
+Math. 4, 2003.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from math import factorial, prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aerotube.numerics import model_kernels as kernels
+from aerotube.numerics import taylor_functions as functions
+from aerotube.numerics.interval import Interval
+from aerotube.numerics.taylor import Taylor, TaylorSpace
+
+Array = NDArray[np.float64]
+Truths = NDArray[np.bool_]
+
+SLACK = kernels.SLACK
+
+
+@lru_cache(maxsize=32)
+def _layout(balls: tuple[int, ...], order: int) -> kernels.ModelLayout:
+    space = TaylorSpace(sum(balls), order)
+    plain, exponents = space.layout, space.exponents
+    ball_of = np.repeat(np.arange(len(balls)), balls)
+    in_balls = np.stack([exponents[:, ball_of == ball].sum(axis=1) for ball in range(len(balls))], axis=1)
+    kinds, classes = np.unique(in_balls, axis=0, return_inverse=True)
+    factorials = np.array([factorial(k) for k in range(order + 1)], dtype=np.float64)
+    weights = factorials[exponents].prod(axis=1) / factorials[in_balls].prod(axis=1)
+    # a weight that is not a binary fraction errs by an ulp, which the kernels' slack covers
+    lengths = plain.up_to[order - plain.degrees]
+    return kernels.ModelLayout(
+        plain.up_to, lengths, plain.starts, plain.targets, weights, classes.reshape(-1), kinds.sum(axis=1)
+    )
+
+
+@dataclass(frozen=True)
+class ModelSpace:
+    """Taylor models of one order over one domain.
+
+    Parameters
+    ----------
+    balls : tuple of int
+        The domain: the product of unit balls of these dimensions, over as many consecutive variables each. All ones
+        is the box [-1, 1]^n.
+    order : int
+        Total degree of the polynomial part, at least 1.
+
+    Raises
+    ------
+    ValueError
+        If there is no variable, a dimension is not positive, or the order is less than 1.
+    """
+
+    balls: tuple[int, ...]
+    order: int
+
+    def __post_init__(self) -> None:
+        if not self.balls or min(self.balls) < 1 or self.order < 1:
+            raise ValueError(f"a space of Taylor models needs balls of positive dimension and an order, not {self}")
+
+    @property
+    def taylor(self) -> TaylorSpace:
+        """The space of the polynomial parts."""
+        return TaylorSpace(sum(self.balls), self.order)
+
+    @property
+    def layout(self) -> kernels.ModelLayout:
+        """Index tables of the product and weights of the norms."""
+        return _layout(self.balls, self.order)
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return len(self.layout.weights)
+
+    def constant(self, value: ArrayLike, radius: ArrayLike = 0.0) -> TaylorModel:
+        """A constant (...), known up to a radius (...)."""
+        return self.affine(value, (), radius)
+
+    def variable(self, index: int, middle: ArrayLike = 0.0, reach: ArrayLike = 1.0) -> TaylorModel:
+        """``middle + reach * z[index]``; middle and reach (...)."""
+        if not 0 <= index < sum(self.balls):
+            raise ValueError(f"there is no variable {index} among {sum(self.balls)}")
+        row = np.zeros((*np.shape(reach), sum(self.balls)))
+        row[..., index] = reach
+        return self.affine(middle, row)
+
+    def affine(self, constant: ArrayLike, gradient: ArrayLike, radius: ArrayLike = 0.0) -> TaylorModel:
+        """``constant + gradient . z``, constant (...), gradient (..., variables), known up to a radius (...)."""
+        middle, slope = np.asarray(constant, dtype=np.float64), np.asarray(gradient, dtype=np.float64)
+        given = slope.shape[-1]
+        shape = np.broadcast_shapes(middle.shape, slope.shape[:-1], np.shape(radius))
+        coefficients = np.zeros((*shape, self.size))
+        coefficients[..., 0] = middle
+        coefficients[..., 1 : 1 + given] = slope
+        return self.model(coefficients, radius)
+
+    def model(self, coefficients: ArrayLike, remainder: ArrayLike = 0.0) -> TaylorModel:
+        """The polynomial with coefficients (..., size), in graded order, and a remainder (...)."""
+        given, rest = np.asarray(coefficients, dtype=np.float64), np.asarray(remainder, dtype=np.float64)
+        if given.ndim == 0 or given.shape[-1] != self.size:
+            raise ValueError(f"coefficients have shape {given.shape}; the last axis must have {self.size} of {self}")
+        if not (rest >= 0.0).all():
+            raise ValueError("the remainder of a Taylor model must be a number and not negative")
+        shape = np.broadcast_shapes(given.shape[:-1], rest.shape)
+        data = np.zeros((*shape, self.size + self.order + 2))
+        data[..., : self.size] = given
+        data[..., -1] = rest
+        for row in data.reshape(-1, data.shape[-1]):
+            kernels.set_norms(row, self.layout)
+        return TaylorModel(self, data)
+
+
+class Truth:
+    """Whether a comparison of models holds: throughout the domain, nowhere, or here and there.
+
+    Attributes
+    ----------
+    certain, possible, central : array of bool (...)
+        It holds at all points; it is not known to fail at all points; it holds for the polynomials at the centre.
+    """
+
+    __slots__ = ("central", "certain", "possible")
+
+    def __init__(self, certain: Truths, possible: Truths, central: Truths) -> None:
+        self.certain, self.possible, self.central = certain, possible, central
+
+    def __invert__(self) -> Truth:
+        return Truth(~self.possible, ~self.certain, ~self.central)
+
+    def __and__(self, other: Any) -> Truth:
+        right = _truth(other)
+        return Truth(self.certain & right.certain, self.possible & right.possible, self.central & right.central)
+
+    def __or__(self, other: Any) -> Truth:
+        right = _truth(other)
+        return Truth(self.certain | right.certain, self.possible | right.possible, self.central | right.central)
+
+    __rand__, __ror__ = __and__, __or__
+
+    def __bool__(self) -> bool:
+        if self.certain.all():
+            return True
+        if self.possible.any():
+            raise ValueError("a comparison of Taylor models is not decided; branch with `select`")
+        return False
+
+
+class TaylorModel:
+    """Taylor models of one space, a batch of them. Made by the space.
+
+    Comparisons give a `Truth`; `aerotube.numerics.select` and ``np.where`` take it, and where it is undecided enclose
+    both branches.
+
+    Raises
+    ------
+    ValueError
+        By operations that are not defined at all points of the domain.
+    """
+
+    __slots__ = ("data", "space")
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, space: ModelSpace, data: Array) -> None:
+        self.space = space
+        self.data = data
+
+    def __repr__(self) -> str:
+        return f"TaylorModel(balls={self.space.balls}, order={self.space.order}, shape={self.shape})"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Batch shape."""
+        return self.data.shape[:-1]
+
+    @property
+    def coefficients(self) -> Array:
+        """Of the polynomial part, (..., size)."""
+        return self.data[..., : self.space.size]
+
+    @property
+    def polynomial(self) -> Taylor:
+        """The polynomial part."""
+        return Taylor(self.space.taylor, self.coefficients)
+
+    @property
+    def value(self) -> Array:
+        """The polynomial part at the centre of the domain, (...)."""
+        return self.data[..., 0]
+
+    @property
+    def norms(self) -> Array:
+        """Bounds of the absolute value of the polynomial's part of each degree, (..., order + 1)."""
+        return self.data[..., self.space.size : -1]
+
+    @property
+    def remainder(self) -> Array:
+        """Bound of the absolute value of what the polynomial leaves out, (...)."""
+        return self.data[..., -1]
+
+    @property
+    def reach(self) -> Array:
+        """How far from `value` the function gets, at most, (...)."""
+        return np.asarray(self.data[..., self.space.size + 1 :].sum(axis=-1) * SLACK)
+
+    @property
+    def bounds(self) -> Interval:
+        """Enclosure of the function over the domain, (...)."""
+        middle, reach = self.value, self.reach
+        return Interval(np.nextafter(middle - reach, -np.inf), np.nextafter(middle + reach, np.inf))
+
+    def compose(self, series: Callable[[Any, int], list[Any]]) -> TaylorModel:
+        """A function of one variable applied to the models.
+
+        Parameters
+        ----------
+        series : callable
+            From intervals and an order to enclosures of the function's k-th derivatives over k!, k = 0 .. order.
+        """
+        order, middle, bounds = self.space.order, self.value, self.bounds
+        both = Interval(np.stack([middle, bounds.lower]), np.stack([middle, bounds.upper]))
+        found = [_as_interval(term) for term in series(both, order + 1)]
+        terms = [Interval(term.lower[0], term.upper[0]) for term in found[: order + 1]]
+        reach = self.reach
+        extra = found[-1][1].magnitude * reach ** (order + 1)
+        for k, term in enumerate(terms):
+            extra = extra + term.radius * reach**k
+        return self.expand(np.stack([term.middle for term in terms], axis=-1), extra * SLACK)
+
+    def expand(self, series: Array, extra: Array) -> TaylorModel:
+        """``sum of series[..., k] * (model - value)**k``, known up to `extra` (...)."""
+        shape = np.broadcast_shapes(self.shape, series.shape[:-1])
+        rows = _rows(self.data, shape)
+        out = np.empty_like(rows)
+        terms = np.ascontiguousarray(np.broadcast_to(series, (*shape, series.shape[-1])))
+        kernels.compose_rows(rows, terms.reshape(-1, series.shape[-1]), _numbers(extra, shape), self.space.layout, out)
+        return TaylorModel(self.space, out.reshape(*shape, -1))
+
+    def _operand(self, other: Any) -> TaylorModel | Array | None:
+        if isinstance(other, TaylorModel):
+            if other.space != self.space:
+                raise ValueError(f"Taylor models of different spaces do not mix: {self.space} and {other.space}")
+            return other
+        if isinstance(other, (Taylor, Interval)):
+            return None
+        try:
+            return np.asarray(other, dtype=np.float64)
+        except (TypeError, ValueError):
+            return None
+
+    def shifted(self, number: ArrayLike, radius: ArrayLike = 0.0) -> TaylorModel:
+        """The models plus a number (...) known up to a radius (...)."""
+        shape = np.broadcast_shapes(self.shape, np.shape(number), np.shape(radius))
+        rows = _rows(self.data, shape)
+        out = np.empty_like(rows)
+        kernels.shift_rows(rows, _numbers(number, shape), _numbers(radius, shape), self.space.size, out)
+        return TaylorModel(self.space, out.reshape(*shape, -1))
+
+    def _added(self, other: TaylorModel, sign: float) -> TaylorModel:
+        shape = self.shape if self.shape == other.shape else np.broadcast_shapes(self.shape, other.shape)
+        left, right = _rows(self.data, shape), _rows(other.data, shape)
+        out = np.empty_like(left)
+        kernels.add_rows(left, right, sign, self.space.layout, out)
+        return TaylorModel(self.space, out.reshape(*shape, -1))
+
+    def _scaled(self, number: Array) -> TaylorModel:
+        shape = np.broadcast_shapes(self.shape, number.shape)
+        rows = _rows(self.data, shape)
+        out = np.empty_like(rows)
+        kernels.scale_rows(rows, _numbers(number, shape), self.space.layout, out)
+        return TaylorModel(self.space, out.reshape(*shape, -1))
+
+    def __neg__(self) -> TaylorModel:
+        data = self.data.copy()
+        data[..., : self.space.size] *= -1.0
+        return TaylorModel(self.space, data)
+
+    def __pos__(self) -> TaylorModel:
+        return self
+
+    def __abs__(self) -> TaylorModel:
+        return larger(self, -self)
+
+    def __add__(self, other: Any) -> TaylorModel:
+        right = self._operand(other)
+        if right is None:
+            return NotImplemented
+        return self._added(right, 1.0) if isinstance(right, TaylorModel) else self.shifted(right)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> TaylorModel:
+        right = self._operand(other)
+        if right is None:
+            return NotImplemented
+        return self._added(right, -1.0) if isinstance(right, TaylorModel) else self.shifted(-right)
+
+    def __rsub__(self, other: Any) -> TaylorModel:
+        left = self._operand(other)
+        return NotImplemented if left is None else -self + left
+
+    def __mul__(self, other: Any) -> TaylorModel:
+        right = self._operand(other)
+        if right is None:
+            return NotImplemented
+        if not isinstance(right, TaylorModel):
+            return self._scaled(right)
+        shape = self.shape if self.shape == right.shape else np.broadcast_shapes(self.shape, right.shape)
+        first, second = _rows(self.data, shape), _rows(right.data, shape)
+        out = np.empty_like(first)
+        kernels.multiply_rows(first, second, self.space.layout, out)
+        return TaylorModel(self.space, out.reshape(*shape, -1))
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> TaylorModel:
+        right = self._operand(other)
+        if right is None:
+            return NotImplemented
+        if isinstance(right, TaylorModel):
+            return self * right.compose(functions.reciprocal)
+        functions.require(right != 0.0, "division of a Taylor model", "a divisor that is not zero")
+        return self * _enclosed(self.space, 1.0 / Interval(right))
+
+    def __rtruediv__(self, other: Any) -> TaylorModel:
+        left = self._operand(other)
+        return NotImplemented if left is None else self.compose(functions.reciprocal) * left
+
+    def __pow__(self, other: Any) -> TaylorModel:
+        if isinstance(other, TaylorModel):
+            return (self.compose(functions.log) * other).compose(functions.exp)
+        exponent = np.asarray(other, dtype=np.float64)
+        if exponent.ndim == 0 and exponent == np.rint(exponent) and 1 <= exponent <= 64:
+            whole = int(exponent)
+            half = self ** (whole // 2) if whole > 1 else None
+            if half is None:
+                return self
+            return half * half * self if whole % 2 else half * half
+        return self.compose(_power(exponent))
+
+    def __rpow__(self, other: Any) -> TaylorModel:
+        base: Any = Interval(np.asarray(other, dtype=np.float64))
+        logarithm = np.log(base)
+        return (self * _enclosed(self.space, logarithm)).compose(functions.exp)
+
+    def __lt__(self, other: Any) -> Truth:
+        return _compare(self, other, lambda x: x < 0.0, lambda x: x >= 0.0)
+
+    def __le__(self, other: Any) -> Truth:
+        return _compare(self, other, lambda x: x <= 0.0, lambda x: x > 0.0)
+
+    def __gt__(self, other: Any) -> Truth:
+        return ~(self <= other)
+
+    def __ge__(self, other: Any) -> Truth:
+        return ~(self < other)
+
+    def __eq__(self, other: Any) -> Any:
+        return (self <= other) & (self >= other)
+
+    def __ne__(self, other: Any) -> Any:
+        return ~(self == other)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        if method != "__call__" or options or ufunc not in _UFUNCS:
+            return NotImplemented
+        return _UFUNCS[ufunc](*inputs)
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        if function is np.where and len(args) == 3 and not kwargs:
+            return choose(*args)
+        if function is np.zeros_like and len(args) == 1 and not kwargs:
+            return np.zeros(self.shape)
+        return NotImplemented
+
+
+def choose(condition: Any, if_true: Any, if_false: Any) -> TaylorModel:
+    """The first models where a condition (...) holds, the second elsewhere; one of them may be numbers.
+
+    Where a `Truth` is undecided: the branch that holds at the centre of the domain, its remainder enlarged to as much
+    as the other may differ from its polynomial.
+    """
+    truth = _truth(condition)
+    space = next(x.space for x in (if_true, if_false) if isinstance(x, TaylorModel))
+    first, second = (x if isinstance(x, TaylorModel) else space.constant(x) for x in (if_true, if_false))
+    data = np.where(truth.central[..., None], first.data, second.data)
+    undecided = truth.possible & ~truth.certain
+    if undecided.any():
+        gap = second - first
+        apart = np.abs(gap.value) + gap.reach
+        other = np.maximum(np.maximum(first.remainder, second.remainder), apart) * SLACK
+        data[..., -1] = np.where(undecided, other, data[..., -1])
+    return TaylorModel(space, data)
+
+
+def larger(first: Any, second: Any) -> TaylorModel:
+    """The larger of two models, or of a model and numbers: the one larger at the centre, and what it may lack."""
+    space = next(x.space for x in (first, second) if isinstance(x, TaylorModel))
+    a, b = (x if isinstance(x, TaylorModel) else space.constant(x) for x in (first, second))
+    excess = b - a
+    ahead = excess.value > 0.0
+    data = np.where(ahead[..., None], b.data, a.data)
+    bounds = excess.bounds
+    data[..., -1] = (data[..., -1] + np.maximum(np.where(ahead, -bounds.lower, bounds.upper), 0.0)) * SLACK
+    return TaylorModel(space, data)
+
+
+def combine(terms: Sequence[TaylorModel], series: Array, extra: Array) -> tuple[TaylorModel, ...]:
+    """Models ``sum over t of series[..., output, t] * terms[t]``, each known up to ``extra[..., output]``."""
+    space, shape = terms[0].space, np.broadcast_shapes(*(term.shape for term in terms))
+    outputs = series.shape[-2]
+    rows = np.stack([_rows(term.data, shape) for term in terms])
+    out = np.empty((outputs, *rows.shape[1:]))
+    factors = np.ascontiguousarray(series).reshape(-1, *series.shape[-2:])
+    kernels.combine_rows(rows, factors, extra.reshape(-1, outputs), space.layout, out)
+    return tuple(TaylorModel(space, row.reshape(*shape, -1)) for row in out)
+
+
+def _truth(condition: Any) -> Truth:
+    if isinstance(condition, Truth):
+        return condition
+    known = np.asarray(condition, dtype=np.bool_)
+    return Truth(known, known, known)
+
+
+def _compare(left: Any, right: Any, holds: Any, fails: Any) -> Truth:
+    gap = left - right
+    bounds = gap.bounds
+    certain, possible = np.asarray(holds(bounds)), ~np.asarray(fails(bounds))
+    return Truth(certain, possible, (np.asarray(holds(gap.value)) | certain) & possible)
+
+
+def _rows(data: Array, shape: tuple[int, ...]) -> Array:
+    if data.shape[:-1] != shape:
+        data = np.broadcast_to(data, (*shape, data.shape[-1]))
+    return np.ascontiguousarray(data).reshape(prod(shape), data.shape[-1])
+
+
+def _numbers(values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    numbers = np.asarray(values, dtype=np.float64)
+    if numbers.shape != shape:
+        numbers = np.broadcast_to(numbers, shape)
+    return np.ascontiguousarray(numbers).reshape(-1)
+
+
+def _as_interval(x: Any) -> Interval:
+    return x if isinstance(x, Interval) else Interval(x)
+
+
+def _enclosed(space: ModelSpace, interval: Interval) -> TaylorModel:
+    return space.constant(interval.middle, interval.radius)
+
+
+def _power(exponent: Array) -> Callable[[Any, int], list[Any]]:
+    def series(x: Interval, order: int) -> list[Any]:
+        terms: list[Any] = [x**exponent]
+        for k in range(1, order + 1):
+            terms.append(terms[-1] * (Interval(exponent) - (k - 1.0)) / (float(k) * x))
+        return terms
+
+    return series
+
+
+def _arctan2(y: Any, x: Any) -> TaylorModel:
+    """Angle of (x, y) from its direction at the centre of the domain; a range across the half turn is refused."""
+    y0, x0 = (np.asarray(z.value if isinstance(z, TaylorModel) else z, dtype=np.float64) for z in (y, x))
+    functions.require(x0 * x0 + y0 * y0 > 0.0, "the angle of a point given by Taylor models", "a point off the origin")
+    scale = 1.0 / (x0 * x0 + y0 * y0)
+    ahead, across = (x * x0 + y * y0) * scale, (y * x0 - x * y0) * scale
+    functions.require(ahead.bounds > 0.0, "the angle of a point given by Taylor models", "a point within a half plane")
+    origin: Any = Interval(y0)
+    start = np.arctan2(origin, x0)
+    angle = (across / ahead).compose(functions.arctan).shifted(start.middle, start.radius)
+    within = np.abs(angle.value) + angle.reach < np.pi
+    functions.require(within, "the angle of a point given by Taylor models", "to stay within half a turn of zero")
+    return angle
+
+
+def _rint(x: TaylorModel) -> Array:
+    bounds = x.bounds
+    functions.require(
+        np.rint(bounds.lower) == np.rint(bounds.upper), "rounding a Taylor model", "a range that rounds to one number"
+    )
+    return np.asarray(np.rint(x.value))
+
+
+def _unary(series: functions.Series) -> Any:
+    return lambda x: x.compose(series)
+
+
+def _compared(a: Any, b: Any) -> Any:
+    return a - b if isinstance(a, TaylorModel) else b.__rsub__(a)
+
+
+_DEGREE = Interval(np.nextafter(np.pi, 0.0), np.nextafter(np.pi, 4.0)) / 180.0
+
+_UFUNCS: dict[np.ufunc, Any] = {
+    np.add: lambda a, b: b + a if isinstance(b, TaylorModel) else a + b,
+    np.subtract: _compared,
+    np.multiply: lambda a, b: b * a if isinstance(b, TaylorModel) else a * b,
+    np.divide: lambda a, b: a / b if isinstance(a, TaylorModel) else b.__rtruediv__(a),
+    np.power: lambda a, b: a**b if isinstance(a, TaylorModel) else b.__rpow__(a),
+    np.float_power: lambda a, b: a**b if isinstance(a, TaylorModel) else b.__rpow__(a),
+    np.arctan2: _arctan2,
+    np.hypot: lambda a, b: (a * a + b * b).compose(functions.sqrt),
+    np.maximum: larger,
+    np.minimum: lambda a, b: -larger(-a, -b),
+    np.negative: lambda a: -a,
+    np.positive: lambda a: a,
+    np.absolute: abs,
+    np.fabs: abs,
+    np.square: lambda a: a * a,
+    np.deg2rad: lambda a: a * _enclosed(a.space, _DEGREE),
+    np.radians: lambda a: a * _enclosed(a.space, _DEGREE),
+    np.rad2deg: lambda a: a * _enclosed(a.space, 1.0 / _DEGREE),
+    np.degrees: lambda a: a * _enclosed(a.space, 1.0 / _DEGREE),
+    np.rint: _rint,
+    np.less: lambda a, b: _compared(a, b) < 0.0,
+    np.less_equal: lambda a, b: _compared(a, b) <= 0.0,
+    np.greater: lambda a, b: _compared(a, b) > 0.0,
+    np.greater_equal: lambda a, b: _compared(a, b) >= 0.0,
+    np.reciprocal: _unary(functions.reciprocal),
+    np.sqrt: _unary(functions.sqrt),
+    np.exp: _unary(functions.exp),
+    np.log: _unary(functions.log),
+    np.sin: _unary(functions.sin),
+    np.cos: _unary(functions.cos),
+    np.tan: _unary(functions.tan),
+    np.arcsin: _unary(functions.arcsin),
+    np.arccos: _unary(functions.arccos),
+    np.arctan: _unary(functions.arctan),
+    np.sinh: _unary(functions.sinh),
+    np.cosh: _unary(functions.cosh),
+    np.tanh: _unary(functions.tanh),
+}
