@@ -35,13 +35,16 @@ class Tubes:
     metric : ndarray (T, parts, n, n)
         The metric E1 the synthesis measured size in.
     size, size_nominal : ndarray (T, parts)
-        Least ``rho`` in that metric, with the law and without it.
+        Least ``rho`` in that metric, with the law and without it, certified.
     terminal_shape, terminal_rho : ndarray (T, parts, n, n), (T, parts)
-        Terminal ellipsoids of least volume, with the law; ``rho`` is one.
+        Terminal ellipsoids of least volume, with the law, certified; ``rho`` is one but for the certificate's
+        margin.
     nominal_shape, nominal_rho : ndarray (T, parts, n, n), (T, parts)
         The same without compensation.
     certificate : str
-        What stands behind these numbers.
+        What stands behind these numbers: ``"polynomial only"`` says that they are checked, and hold for the
+        polynomials through the values of the closed loop at the nodes, on the boundary of the initial ellipsoid
+        and at the extreme parameters; not, as yet, for what lies between.
     """
 
     parts: tuple[Part, ...]
@@ -149,7 +152,7 @@ def synthesise(
     names += ["terminal_shape", "terminal_rho", "nominal_shape", "nominal_rho"]
     return Compensation(
         law=LinearLaw(gains, coordinates),
-        tubes=Tubes(settings.parts, **{name: gather(name) for name in names}, certificate="solver's word"),
+        tubes=Tubes(settings.parts, **{name: gather(name) for name in names}, certificate="polynomial only"),
         feasible=gather("feasible").astype(bool),
         messages=[message for result in results for message in result.messages],
         bound=gather("bound"),
@@ -296,6 +299,7 @@ def _synthesise_part(
     feasible = solution.status == sos.Status.OPTIMAL
     gains = np.where(feasible[:, None, None], exact_map.gains(solution["K"], data, scaling), 0.0)
     gains *= usable[:, :, None]
+    gains *= _into_limits(gains, data, settings.limits)[:, :, None]
     messages = [
         f"beat {beat}, {part.name}: no law ({sos.Status(solution.status[beat]).name.lower().replace('_', ' ')}); "
         "the nominal alone is flown."
@@ -352,6 +356,26 @@ def _sample(
     return np.ascontiguousarray(end[..., part.errors])
 
 
+def _into_limits(gains: Array, data: exact_map.BeatData, limits: str) -> Array:
+    """Factors, at most one, that take out what the solver's tolerance left beyond the limits: ndarray (b, m)."""
+    reach = (1.0 + data.measurement_error) * data.half_widths[:, None, :]
+    if limits == "box":
+        most = np.sum(np.abs(gains) * reach, axis=-1)
+    else:
+        most = (1.0 + data.measurement_error) * np.linalg.norm(gains @ data.whitening, axis=-1)
+    return np.asarray(data.limit / np.maximum(most, data.limit))
+
+
+def _deficit(solution: sos.Solution) -> Array:
+    """What must be added to a tube's ``rho`` for it to hold whatever the solver said: ndarray (b,).
+
+    The certificate bounds from below what the solver claims to be positive; NaN where there is no answer at all.
+    """
+    margins = solution.certificate().margins
+    deficit = -np.min([margin for name, margin in margins.items() if name.startswith("tube/")], axis=0)
+    return np.asarray(np.where(np.isfinite(solution.values).all(-1) & np.isfinite(deficit), deficit, np.nan))
+
+
 def _measure(
     data: exact_map.BeatData, gains: Array, with_law: Array, settings: SynthesisSettings, workers: int
 ) -> _PartResult:
@@ -362,15 +386,18 @@ def _measure(
     def least_rho(end: Array, shape: Array) -> Array:
         problem, unit = exact_map.size_data(structure, end, shape)
         solution = sos.solve(structure, problem, backend=settings.backend, workers=workers)
-        return np.asarray(np.where(solution.status == sos.Status.OPTIMAL, solution.objective * unit, np.nan))
+        return np.asarray((solution["rho"] + _deficit(solution)) * unit)
 
-    def least_volume(end: Array) -> Array:
+    def least_volume(end: Array) -> tuple[Array, Array]:
         ellipsoids = exact_map.volume_structure(n, vertices, settings.degree)
         problem, unit = exact_map.volume_data(ellipsoids, end)
         solution = sos.solve(ellipsoids, problem, backend="aerotube", workers=workers)
         shape = np.swapaxes(unit, 1, 2) @ solution["E"] @ unit
-        return np.asarray(np.where((solution.status == sos.Status.OPTIMAL)[:, None, None], shape, np.nan))
+        rho = 1.0 + _deficit(solution)
+        positive = np.linalg.eigvalsh(0.5 * (solution["E"] + np.swapaxes(solution["E"], 1, 2)))[:, 0] > 0
+        return np.where(positive[:, None, None], shape, np.nan), np.where(positive, rho, np.nan)
 
+    closed, opened = least_volume(with_law), least_volume(data.map_values)
     empty = np.zeros(0)
     return _PartResult(
         gains=gains,
@@ -379,10 +406,10 @@ def _measure(
         metric=data.shape,
         size=least_rho(with_law, data.shape),
         size_nominal=least_rho(data.map_values, data.shape),
-        terminal_shape=least_volume(with_law),
-        terminal_rho=np.ones(beats),
-        nominal_shape=least_volume(data.map_values),
-        nominal_rho=np.ones(beats),
+        terminal_shape=closed[0],
+        terminal_rho=closed[1],
+        nominal_shape=opened[0],
+        nominal_rho=opened[1],
         feasible=np.zeros(beats, dtype=bool),
         messages=[],
         bound=empty,
