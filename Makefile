@@ -4,12 +4,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: run test lint types check format setup clean
+.PHONY: run test lint types check format setup bench clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make run    set up everything and fly the built-in scenario (results in out/)"
 	@echo "make test   set up everything, check style and types, run the tests"
+	@echo "make bench  time the solver beside its peers (bench.json); BENCH='--help' tells the options"
 	@echo "make format rewrite the sources in the house style"
 	@echo "make clean  remove the environment and everything that was built"
 
@@ -38,6 +39,19 @@ test: lint types
 	@$(BIN)/python -m pytest
 
 check: test
+
+# Peers that this Python or machine has no build of are left out, and the table says so.
+$(VENV)/.bench: $(STAMP)
+	@$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["bench"], sep="\n")' | \
+	while read -r peer; do \
+		if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(BIN)/python "$$peer"; \
+		else $(BIN)/python -m pip install --quiet --disable-pip-version-check "$$peer"; fi \
+		|| echo "$$peer does not install here"; \
+	done
+	@touch $@
+
+bench: $(VENV)/.bench
+	@$(BIN)/python -m benchmarks $(BENCH)
 
 format: $(STAMP)
 	@$(BIN)/ruff check --fix --quiet . ; $(BIN)/ruff format .
