@@ -84,6 +84,7 @@ def solve_one(
     if any(c.kind == "logdet" for c in structure.constraints):
         raise ValueError("the clarabel backend has no log-determinant terms; use backend='aerotube'.")
     m = structure.size
+    objective, arrays, rows, column, beta = _balanced(structure, objective, arrays)
     starts: dict[str, int] = {}
     columns, costs = [], []
     total = 0
@@ -110,7 +111,9 @@ def solve_one(
     settings.max_threads = 1
     settings.direct_solve_method = "qdldl"
     settings.max_iter = iterations
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    settings.tol_gap_rel = settings.tol_feas = tolerance
+    # The data are scaled to one, but the optimum may be far smaller: only the relative gap counts.
+    settings.tol_gap_abs = 1e-4 * tolerance
     settings.presolve_enable = settings.chordal_decomposition_enable = False
     cost = np.concatenate(costs) if costs else np.zeros(0)
     program = (
@@ -125,10 +128,68 @@ def solve_one(
     for regularisation in (1e-7, 1e-8, 1e-6):
         settings.static_regularization_constant = regularisation
         settings.time_limit = seconds - (time.perf_counter() - begin)
-        result = _result(structure, starts, clarabel.DefaultSolver(*program, settings).solve(), scale, tolerance)
+        answer = clarabel.DefaultSolver(*program, settings).solve()
+        result = _result(structure, starts, answer, scale, tolerance)
         if result.status != Status.TROUBLE or settings.time_limit <= 0.0:
             break
-    return result
+    return _unbalanced(structure, result, rows, column, beta)
+
+
+def _balanced(
+    structure: Structure, objective: Array, arrays: Arrays
+) -> tuple[Array, Arrays, dict[str, Array], Array, float]:
+    """Scale rows, columns and constants to about one: objective, arrays, row scales, column scales, constant scale."""
+    m = structure.size
+    tables: list[Array] = []
+    constants: list[Array] = []
+    for c in structure.constraints:
+        matrix, constant = _column_data(c, arrays[c.name])
+        lines = np.abs(matrix) if c.kind == "linear" else np.max(np.abs(matrix), axis=0, keepdims=True)
+        tables.append(lines)
+        constants.append(np.abs(constant) if c.kind == "linear" else np.max(np.abs(constant), keepdims=True))
+    table = np.concatenate([np.zeros((0, m)), *tables])
+    constant = np.concatenate([np.zeros(0), *constants])
+    used = table > 0.0
+    logarithm = np.log(np.where(used, table, 1.0))
+    column, row = np.zeros(m), np.zeros(len(table))
+    for _ in range(6):
+        row = -np.sum(used * (logarithm + column), axis=1) / np.maximum(np.sum(used, axis=1), 1)
+        column = -np.sum(used * (logarithm + row[:, None]), axis=0) / np.maximum(np.sum(used, axis=0), 1)
+    column = np.exp(column)
+    row = np.max(table * column, axis=1, initial=0.0)
+    row = 1.0 / np.where(row > 0.0, row, np.where(constant > 0.0, constant, 1.0))
+    largest = float(np.max(constant * row, initial=0.0))
+    beta = 1.0 / largest if largest > 0.0 else 1.0
+    scaled: dict[str, dict[str, Array]] = {}
+    rows: dict[str, Array] = {}
+    at = 0
+    for c, lines in zip(structure.constraints, tables, strict=True):
+        e, a = row[at : at + len(lines)], arrays[c.name]
+        at += len(lines)
+        rows[c.name] = e
+        if c.kind == "sos":
+            scaled[c.name] = {"c": a["c"] * e * beta, "C": a["C"] * e * column}
+        elif c.kind == "lmi":
+            scaled[c.name] = {"F0": a["F0"] * e * beta, "F": a["F"] * e * column[:, None, None]}
+        elif c.kind == "norm":
+            scaled[c.name] = {
+                "A": a["A"] * e * column, "b": a["b"] * e * beta, "g": a["g"] * e * column, "h": a["h"] * e[0] * beta,
+            }  # fmt: skip
+        else:
+            scaled[c.name] = {"A": a["A"] * e[:, None] * column, "b": a["b"] * e * beta}
+    return objective * column, scaled, rows, column, beta
+
+
+def _unbalanced(structure: Structure, result: Result, rows: dict[str, Array], column: Array, beta: float) -> Result:
+    """Undo the scaling of `_balanced`."""
+    grams = {
+        name: tuple(gram / (float(rows[name][0]) * beta) for gram in found) for name, found in result.grams.items()
+    }
+    multipliers = {
+        c.name: result.multipliers[c.name] * (rows[c.name] if c.kind == "linear" else float(rows[c.name][0]))
+        for c in structure.constraints
+    }
+    return Result(result.values * column / beta, grams, multipliers, result.status, result.iterations)
 
 
 def _cones(c: Constraint, structure: Structure) -> list[tuple[Array, Any]]:

@@ -82,7 +82,7 @@ def iterate(lay, st, optimality):  # type: ignore[no-untyped-def]
         side = sigma * mu - tau * kappa - dtau * dkappa
         dtau = direction(lay, st, sigma * mu, eta, YES, side)
         dkappa = (side - kappa * dtau) / tau if homogeneous else 0.0
-        primal, dual = longest_steps(lay, st, 1.0 / REACH, dtau, dkappa, FINE)
+        primal, dual = longest_steps(lay, st, 1.0 / REACH, dtau, dkappa, FINE if k == CORRECTORS else COARSE)
         if k > 0 and not min(primal, dual) >= 0.9 * min(best_primal, best_dual):
             swap_direction(lay, st, YES)
             break

@@ -34,7 +34,7 @@ from aerotube.sos.interior.layout import (
     matrix_at,
 )  # fmt: skip
 
-SWEEPS = 4
+SWEEPS = 6
 BETA, OMEGA = 9, 10
 """Places of the overall scales among the numbers of a state."""
 
@@ -87,25 +87,37 @@ def _power(x):  # type: ignore[no-untyped-def]
 
 @inner
 def _balance(extent, row, column):  # type: ignore[no-untyped-def]
-    """Choose row and column scales by a few sweeps over the table of magnitudes."""
+    """Choose row and column scales by a few sweeps over the table of magnitudes.
+
+    The sweeps make the mean logarithm of every row and column zero, which minimises the sum of squared logarithms
+    (A. R. Curtis and J. K. Reid, "On the automatic scaling of matrices for Gaussian elimination", 1972).
+    """
     keep_apart()
     groups, m = extent.shape[0], extent.shape[1] - 1
-    column[:] = 1.0
+    column[:] = 0.0
+    row[:] = 0.0
     for _ in range(SWEEPS):
         for g in range(groups):
-            top = 0.0
+            total, count = 0.0, 0
             for j in range(m):
-                top = max(top, extent[g, j] * column[j])
-            row[g] = 1.0 / top if top > 0.0 else (1.0 / extent[g, m] if extent[g, m] > 0.0 else 1.0)
+                if extent[g, j] > 0.0:
+                    total += np.log2(extent[g, j]) + column[j]
+                    count += 1
+            row[g] = -total / count if count > 0 else 0.0
         for j in range(m):
-            top = 0.0
+            total, count = 0.0, 0
             for g in range(groups):
-                top = max(top, extent[g, j] * row[g])
-            column[j] = 1.0 / top if top > 0.0 else 1.0
-    for g in range(groups):
-        row[g] = _power(1.0 / row[g])
+                if extent[g, j] > 0.0:
+                    total += np.log2(extent[g, j]) + row[g]
+                    count += 1
+            column[j] = -total / count if count > 0 else 0.0
     for j in range(m):
-        column[j] = _power(1.0 / column[j])
+        column[j] = 2.0 ** np.round(column[j])
+    for g in range(groups):
+        top = 0.0
+        for j in range(m):
+            top = max(top, extent[g, j] * column[j])
+        row[g] = _power(top if top > 0.0 else extent[g, m])
 
 
 @entry
