@@ -53,14 +53,7 @@ def main(given: Sequence[str] | None = None) -> None:
             entry = programs.TABLE[name]
             say(f"{name}: making the programs")
             made = entry.make(entry.beats)
-            found = timing.compare(
-                made,
-                chosen.solvers,
-                Path(folder),
-                chosen.solves,
-                chosen.deadline,
-                lambda words, name=name: say(f"{name}, {words}"),
-            )
+            found = timing.compare(made, chosen.solvers, Path(folder), chosen.solves, chosen.deadline, say)
             own = [timed.row(name) for timed in found]
             rows += own
             _write(chosen.out, rows)

@@ -130,7 +130,9 @@ def from_data(name: str, structure: sos.Structure, data: sos.Data, position: int
             assert item.domain is not None
             exponents = item.domain.exponents(item.degree)
             table = monomials(structure.nodes(item.name), exponents)
-            both = np.linalg.solve(table, np.column_stack([own["c"], own["C"]]))
+            both = np.asarray(np.linalg.solve(table, np.column_stack([own["c"], own["C"]])), dtype=np.float64)
+            # What interpolation leaves of coefficients that are zero would only make the peers' programs denser.
+            both[np.abs(both) < 1e-12 * np.abs(both).max(axis=0, initial=0.0)] = 0.0
             factors = tuple((factor.kind, factor.dimension) for factor in item.domain.factors)
             out.append(Sos(item.name, factors, item.degree, exponents, both[:, 0], both[:, 1:]))
         elif item.kind == "lmi":

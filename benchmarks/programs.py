@@ -174,7 +174,7 @@ def _whitened_increment(coefficients: Array, space: Any, whitening: Array, half_
     start = points[:, :n] @ whitening.T
     end = space.monomials(np.column_stack([start, half_range * points[:, n:]])) @ coefficients.T
     values = np.linalg.solve(whitening, (end - start).T).T
-    return exponents, np.linalg.lstsq(monomials(points, exponents), values, rcond=None)[0].T
+    return exponents, np.asarray(np.linalg.lstsq(monomials(points, exponents), values, rcond=None)[0].T, dtype=float)
 
 
 def increment_program(

@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -136,16 +137,16 @@ def compare(
     try:
         for timed in found:
             say(f"{timed.solver}: set-up")
-            _guard(timed, lambda timed=timed: _start(timed, path, len(programs), most, deadline))
+            _guard(timed, partial(_start, timed, path, len(programs), most, deadline))
         running = [timed for timed in found if not timed.status]
         while running:
             for timed in running:
                 say(f"{timed.solver}: {len(timed.seconds)} of {timed.wanted} solves")
-                _guard(timed, lambda timed=timed: _turn(timed))
+                _guard(timed, partial(_turn, timed))
             running = [timed for timed in running if not timed.status and len(timed.seconds) < timed.wanted]
         for timed in found:
-            if timed.worker is not None and not timed.status:
-                _guard(timed, lambda timed=timed: setattr(timed, "memory", timed.worker.ask("memory")))
+            if not timed.status:
+                _guard(timed, partial(_weigh, timed))
     finally:
         for timed in found:
             if timed.worker is not None:
@@ -178,6 +179,11 @@ def _start(timed: Timed, path: Path, beats: int, most: int | None, deadline: flo
     timed.most = most
     timed.want(answer["seconds"])
     timed.take(answer, 0, timed=timed.wanted <= 3)
+
+
+def _weigh(timed: Timed) -> None:
+    assert timed.worker is not None
+    timed.memory = timed.worker.ask("memory")
 
 
 def _turn(timed: Timed) -> None:
