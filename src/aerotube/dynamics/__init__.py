@@ -1,5 +1,6 @@
-"""From an aircraft to a step: the Runge-Kutta step map, error coordinates, and the error map of a beat."""
+"""From an aircraft to a step: the Runge-Kutta step map, error coordinates, the error map of a beat and its bounds."""
 
+from aerotube.dynamics.enclosure import BeatSet, ErrorEnclosure, beat_set, enclose_error_map, linear_law
 from aerotube.dynamics.error_map import Linearisation, TaylorMap, error_map, linearise, taylor_map
 from aerotube.dynamics.errors import (
     ERROR_NAMES,
@@ -9,6 +10,7 @@ from aerotube.dynamics.errors import (
     ErrorCoordinates,
     euler_error,
 )
+from aerotube.dynamics.remainder import Excess, SizeSamples, excess, graded_sizes, size_samples
 from aerotube.dynamics.step import rk4, step, step_components
 
 __all__ = [
@@ -16,13 +18,23 @@ __all__ = [
     "ERROR_UNITS",
     "LATERAL",
     "LONGITUDINAL",
+    "BeatSet",
     "ErrorCoordinates",
+    "ErrorEnclosure",
+    "Excess",
     "Linearisation",
+    "SizeSamples",
     "TaylorMap",
+    "beat_set",
+    "enclose_error_map",
     "error_map",
     "euler_error",
+    "excess",
+    "graded_sizes",
+    "linear_law",
     "linearise",
     "rk4",
+    "size_samples",
     "step",
     "step_components",
     "taylor_map",
