@@ -48,7 +48,10 @@ def notes(console: Console, found: Sequence[Timed]) -> None:
     if own is None:
         return
     if own.memory is not None:
-        console.print(f"  aerotube: peak memory of the whole process {own.memory:.0f} MiB")
+        console.print(
+            f"  aerotube: {min(own.iterations)} to {max(own.iterations)} iterations; "
+            f"peak memory of the whole process {own.memory:.0f} MiB"
+        )
     loose = [beat for beat, bound in own.certified.items() if bound is None]
     if loose:
         console.print(f"  aerotube: no certified bound for {len(loose)} of {len(own.certified)} beats")

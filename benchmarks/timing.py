@@ -59,6 +59,8 @@ class Timed:
         How many were prepared.
     most, wanted : int
         Most solves allowed, and solves to be timed.
+    iterations : list of int
+        Of each solve, where the solver tells.
     memory : float
         Peak memory of the process, MiB.
     """
@@ -73,6 +75,7 @@ class Timed:
     objectives: dict[int, float | None] = field(default_factory=dict)
     certified: dict[int, float | None] = field(default_factory=dict)
     outcomes: Counter[str] = field(default_factory=Counter)
+    iterations: list[int] = field(default_factory=list)
     memory: float | None = None
     worker: Worker | None = None
 
@@ -88,6 +91,7 @@ class Timed:
         self.objectives[beat] = answer["objective"]
         self.certified[beat] = answer["certified"]
         self.outcomes[answer["status"]] += 1
+        self.iterations += [answer["iterations"]] if "iterations" in answer else []
 
     def row(self, program: str) -> dict[str, Any]:
         """The row of the table, times in milliseconds."""
