@@ -125,7 +125,8 @@ def linear_law(gains: Array) -> ComponentLaw:
     """Law ``du = K x`` of a batch of beats, gains ndarray (b, 4, 8), on components."""
 
     def increments(error: Sequence[Any]) -> Sequence[Any]:
-        return [sum((gains[:, i, j] * error[j] for j in range(1, 8)), gains[:, i, 0] * error[0]) for i in range(4)]
+        used = [[j for j in range(8) if gains[:, i, j].any()] for i in range(4)]
+        return [sum((gains[:, i, j] * error[j] for j in used[i]), np.zeros(len(gains))) for i in range(4)]
 
     return increments
 

@@ -244,12 +244,13 @@ class TaylorModel:
         order, middle, bounds = self.space.order, self.value, self.bounds
         both = Interval(np.stack([middle, bounds.lower]), np.stack([middle, bounds.upper]))
         found = [_as_interval(term) for term in series(both, order + 1)]
-        terms = [Interval(term.lower[0], term.upper[0]) for term in found[: order + 1]]
-        reach = self.reach
-        extra = found[-1][1].magnitude * reach ** (order + 1)
-        for k, term in enumerate(terms):
-            extra = extra + term.radius * reach**k
-        return self.expand(np.stack([term.middle for term in terms], axis=-1), extra * SLACK)
+        known = found[: order + 1]
+        terms = Interval(
+            np.stack([term.lower[0] for term in known], axis=-1), np.stack([term.upper[0] for term in known], axis=-1)
+        )
+        powers = self.reach[..., None] ** np.arange(order + 2)
+        extra = found[-1][1].magnitude * powers[..., -1] + (terms.radius * powers[..., :-1]).sum(axis=-1)
+        return self.expand(terms.middle, extra * SLACK)
 
     def expand(self, series: Array, extra: Array) -> TaylorModel:
         """``sum of series[..., k] * (model - value)**k``, known up to `extra` (...)."""
@@ -281,11 +282,10 @@ class TaylorModel:
         return TaylorModel(self.space, out.reshape(*shape, -1))
 
     def _added(self, other: TaylorModel, sign: float) -> TaylorModel:
-        shape = self.shape if self.shape == other.shape else np.broadcast_shapes(self.shape, other.shape)
-        left, right = _rows(self.data, shape), _rows(other.data, shape)
+        left, right, shape = _pair(self.data, other.data)
         out = np.empty_like(left)
         kernels.add_rows(left, right, sign, self.space.layout, out)
-        return TaylorModel(self.space, out.reshape(*shape, -1))
+        return TaylorModel(self.space, out.reshape(shape))
 
     def _scaled(self, number: Array) -> TaylorModel:
         shape = np.broadcast_shapes(self.shape, number.shape)
@@ -329,11 +329,10 @@ class TaylorModel:
             return NotImplemented
         if not isinstance(right, TaylorModel):
             return self._scaled(right)
-        shape = self.shape if self.shape == right.shape else np.broadcast_shapes(self.shape, right.shape)
-        first, second = _rows(self.data, shape), _rows(right.data, shape)
+        first, second, shape = _pair(self.data, right.data)
         out = np.empty_like(first)
         kernels.multiply_rows(first, second, self.space.layout, out)
-        return TaylorModel(self.space, out.reshape(*shape, -1))
+        return TaylorModel(self.space, out.reshape(shape))
 
     __rmul__ = __mul__
 
@@ -342,13 +341,13 @@ class TaylorModel:
         if right is None:
             return NotImplemented
         if isinstance(right, TaylorModel):
-            return self * right.compose(functions.reciprocal)
+            return self * right.compose(_reciprocal)
         functions.require(right != 0.0, "division of a Taylor model", "a divisor that is not zero")
         return self * _enclosed(self.space, 1.0 / Interval(right))
 
     def __rtruediv__(self, other: Any) -> TaylorModel:
         left = self._operand(other)
-        return NotImplemented if left is None else self.compose(functions.reciprocal) * left
+        return NotImplemented if left is None else self.compose(_reciprocal) * left
 
     def __pow__(self, other: Any) -> TaylorModel:
         if isinstance(other, TaylorModel):
@@ -454,14 +453,26 @@ def _compare(left: Any, right: Any, holds: Any, fails: Any) -> Truth:
     return Truth(certain, possible, (np.asarray(holds(gap.value)) | certain) & possible)
 
 
+def _pair(left: Array, right: Array) -> tuple[Array, Array, tuple[int, ...]]:
+    """Rows of two models, and the shape of their broadcast data."""
+    if left.ndim == 2 and left.shape == right.shape:
+        return left, right, left.shape
+    shape = np.broadcast_shapes(left.shape[:-1], right.shape[:-1])
+    return _rows(left, shape), _rows(right, shape), (*shape, left.shape[-1])
+
+
 def _rows(data: Array, shape: tuple[int, ...]) -> Array:
     if data.shape[:-1] != shape:
         data = np.broadcast_to(data, (*shape, data.shape[-1]))
+    elif data.ndim == 2:
+        return data
     return np.ascontiguousarray(data).reshape(prod(shape), data.shape[-1])
 
 
 def _numbers(values: ArrayLike, shape: tuple[int, ...]) -> Array:
     numbers = np.asarray(values, dtype=np.float64)
+    if numbers.ndim == 0:
+        return np.full(prod(shape), numbers)
     if numbers.shape != shape:
         numbers = np.broadcast_to(numbers, shape)
     return np.ascontiguousarray(numbers).reshape(-1)
@@ -473,6 +484,15 @@ def _as_interval(x: Any) -> Interval:
 
 def _enclosed(space: ModelSpace, interval: Interval) -> TaylorModel:
     return space.constant(interval.middle, interval.radius)
+
+
+def _reciprocal(x: Interval, order: int) -> list[Any]:
+    """One over the argument: that of the Taylor arithmetic, each power from the last."""
+    inverse = 1.0 / x
+    terms, step = [inverse], -inverse
+    for _ in range(order):
+        terms.append(terms[-1] * step)
+    return terms
 
 
 def _power(exponent: Array) -> Callable[[Any, int], list[Any]]:
@@ -508,7 +528,7 @@ def _rint(x: TaylorModel) -> Array:
     return np.asarray(np.rint(x.value))
 
 
-def _unary(series: functions.Series) -> Any:
+def _unary(series: Callable[..., list[Any]]) -> Any:
     return lambda x: x.compose(series)
 
 
@@ -543,7 +563,7 @@ _UFUNCS: dict[np.ufunc, Any] = {
     np.less_equal: lambda a, b: _compared(a, b) <= 0.0,
     np.greater: lambda a, b: _compared(a, b) > 0.0,
     np.greater_equal: lambda a, b: _compared(a, b) >= 0.0,
-    np.reciprocal: _unary(functions.reciprocal),
+    np.reciprocal: _unary(_reciprocal),
     np.sqrt: _unary(functions.sqrt),
     np.exp: _unary(functions.exp),
     np.log: _unary(functions.log),
