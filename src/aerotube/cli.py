@@ -96,6 +96,9 @@ def run(
         typer.Option(metavar="NAME", help="decoupled (two halves of four states) or coupled (all eight at once)."),
     ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads that solve; as many as cores without it.")] = None,
+    certificates: Annotated[
+        bool, typer.Option("--certificates", help="Write every tube's certificate too, for `aerotube check`.")
+    ] = False,
 ) -> None:
     """Fly a scenario with and without compensation, and with LQR, and write results and a report.
 
@@ -116,7 +119,7 @@ def run(
     }
     with _interruptible(), _progress() as progress:
         source = load(scenario, {key: value for key, value in asked.items() if value is not None})
-        summary = job.run(source, out, workers or os.cpu_count() or 1, progress)
+        summary = job.run(source, out, workers or os.cpu_count() or 1, progress, certificates)
     _print_summary(summary, out)
     raise typer.Exit(_exit_code(summary, out))
 
@@ -135,6 +138,30 @@ def report(
         folder = ensure_folder(out or results.parent)
         reports.write(dataset, folder)
     typer.echo(f"{folder / 'report.html'} written")
+
+
+@cli.command()
+def check(
+    files: Annotated[list[Path], typer.Argument(help="Certificates, as `aerotube run --certificates` writes them.")],
+) -> None:
+    """Check saved certificates in exact arithmetic, by code that shares nothing with the solver.
+
+    Exit code 0: every certificate holds; 1: some do not.
+    """
+    from aerotube.sos import check_file
+
+    sound = True
+    with _interruptible():
+        for file in files:
+            try:
+                found = check_file(file)
+            except OSError as error:
+                raise InputError(f"{file} cannot be read ({error.strerror}); check the name") from None
+            except ValueError as error:
+                raise InputError(str(error)) from None
+            sound = sound and found.holds
+            typer.echo(f"{file}: " + ("holds" if found.holds else "DOES NOT HOLD") if len(files) > 1 else str(found))
+    raise typer.Exit(FINE if sound else FAILED)
 
 
 class _Interrupted(Exception):

@@ -141,6 +141,7 @@ def _design(
         solve_seconds=made.solve_seconds,
         certificate=tubes.certificate,
         messages=tuple(made.messages),
+        evidence=made.evidence,
         settings=prepared.source.scenario.synthesis.setting(key),
     )
     record.problems.extend(f"{_words(key)} law, {message}" for message in made.messages)
@@ -246,6 +247,22 @@ class _Flights:
         return self._filter
 
 
+def save_certificates(record: Record, folder: Path) -> None:
+    """Write a certificate for the size of every tube, to be checked offline by ``aerotube check``.
+
+    Parameters
+    ----------
+    record : Record
+    folder : Path
+        Gets ``certificates/SETTING/beat_BEAT_PART.json``, one file for each tube that has one.
+    """
+    for key, law in record.laws.items():
+        target = results.ensure_folder(folder / "certificates" / key)
+        for (name, _), evidence in zip(law.parts, law.evidence, strict=True):
+            for beat in np.flatnonzero(evidence.holds):
+                evidence.save(target / f"beat_{beat:03d}_{name}.json", (int(beat),))
+
+
 def save(record: Record, folder: Path) -> dict[str, Any]:
     """Write dataset, summary, figures and report of a record.
 
@@ -272,7 +289,11 @@ def save(record: Record, folder: Path) -> dict[str, Any]:
 
 
 def run(
-    source: scenario.Source, folder: str | Path, workers: int = 1, progress: Progress | None = None
+    source: scenario.Source,
+    folder: str | Path,
+    workers: int = 1,
+    progress: Progress | None = None,
+    certificates: bool = False,
 ) -> dict[str, Any]:
     """Do the main job: fly a scenario and write its results.
 
@@ -284,6 +305,8 @@ def run(
     workers : int
         Threads that solve; the numbers do not depend on it.
     progress : callable, optional
+    certificates : bool
+        Write the tubes' certificates as well.
 
     Returns
     -------
@@ -309,6 +332,8 @@ def run(
         save(record, target)
         raise
     summary = save(record, target)
+    if certificates:
+        save_certificates(record, target)
     if progress is not None:
         progress("done", 1.0)
     return summary

@@ -25,7 +25,7 @@ def one_sentence(errors: str) -> bool:
     return errors.startswith("aerotube: ") and errors.count("\n") == 1 and "Traceback" not in errors
 
 
-@pytest.mark.parametrize("command", [[], ["init"], ["run"], ["report"]])
+@pytest.mark.parametrize("command", [[], ["init"], ["run"], ["report"], ["check"]])
 def test_help_explains_every_command(capsys, command):
     code, out, _ = aerotube(capsys, *command, "--help")
     assert code == 0
@@ -35,7 +35,7 @@ def test_help_explains_every_command(capsys, command):
 def test_the_bare_command_shows_what_there_is(capsys):
     code, out, _ = aerotube(capsys)
     assert code == 0
-    for command in ("init", "run", "report"):
+    for command in ("init", "run", "report", "check"):
         assert command in out
 
 
@@ -257,3 +257,35 @@ def test_an_error_nobody_foresaw_is_shown_but_keeps_what_was_finished(tmp_path, 
     with pytest.raises(ZeroDivisionError):
         app(["run", *SMALL, "--out", str(tmp_path)])
     assert json.loads((tmp_path / "summary.json").read_text())["complete"] is False
+
+
+def test_certificates_of_a_run_are_checked_offline(capsys, tmp_path):
+    assert aerotube(capsys, "run", *SMALL, "--no-estimator", "--certificates", "--out", tmp_path)[0] == 0
+    files = sorted((tmp_path / "certificates" / "noise").iterdir())
+    assert [file.name for file in files] == [
+        f"beat_{beat:03d}_{part}.json" for beat in range(2) for part in ("lateral", "longitudinal")
+    ]
+    code, out, _ = aerotube(capsys, "check", *files)
+    assert code == 0
+    assert out.count("holds") == 4
+    code, out, _ = aerotube(capsys, "check", files[0])
+    assert (code, "The certificate holds." in out) == (0, True)
+
+    spoiled = tmp_path / "spoiled.json"
+    content = json.loads(files[0].read_text())
+    blocks = content["constraints"][0]["blocks"]
+    blocks[0]["gram"][0][0] = (float.fromhex(blocks[0]["gram"][0][0]) + 0.1).hex()
+    spoiled.write_text(json.dumps(content))
+    code, out, _ = aerotube(capsys, "check", spoiled)
+    assert (code, "NOT PROVEN" in out) == (1, True)
+
+
+@pytest.mark.parametrize("text", [None, "no JSON", "{}"])
+def test_what_is_no_certificate_is_a_mistake(capsys, tmp_path, text):
+    file = tmp_path / "certificate.json"
+    if text is not None:
+        file.write_text(text)
+    code, _, errors = aerotube(capsys, "check", file)
+    assert code == 2
+    assert one_sentence(errors)
+    assert "certificate.json" in errors

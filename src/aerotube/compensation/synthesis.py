@@ -79,6 +79,8 @@ class Compensation:
     settings : SynthesisSettings
     linearisation : Linearisation
         Of the error map along the nominal, in the law's coordinates.
+    evidence : tuple of sos.Certificate
+        Of ``tubes.size``, one for each part with the beats as its batch; can be saved and checked offline.
     """
 
     law: LinearLaw
@@ -89,6 +91,7 @@ class Compensation:
     solve_seconds: Array
     settings: SynthesisSettings
     linearisation: Linearisation
+    evidence: tuple[sos.Certificate, ...]
 
 
 def synthesise(
@@ -159,6 +162,7 @@ def synthesise(
         solve_seconds=gather("seconds"),
         settings=settings,
         linearisation=linear,
+        evidence=tuple(result.evidence for result in results),
     )
 
 
@@ -178,6 +182,7 @@ class _PartResult:
     messages: list[str]
     bound: Array
     seconds: Array
+    evidence: sos.Certificate
 
 
 def _offset(progress: Progress, start: int, total: int) -> Progress:
@@ -376,6 +381,13 @@ def _deficit(solution: sos.Solution) -> Array:
     return np.asarray(np.where(np.isfinite(solution.values).all(-1) & np.isfinite(deficit), deficit, np.nan))
 
 
+def _lifted(solution: sos.Solution) -> sos.Certificate:
+    """The certificate of a size program, its ``rho`` raised by as much as makes it hold (and a percent more)."""
+    lift = np.nan_to_num(1.01 * np.maximum(_deficit(solution), 0.0)) + 1e-14
+    values = solution.values + lift[:, None]
+    return replace(solution, values=values, objective=solution.objective + lift).certificate()
+
+
 def _measure(
     data: exact_map.BeatData, gains: Array, with_law: Array, settings: SynthesisSettings, workers: int
 ) -> _PartResult:
@@ -383,10 +395,11 @@ def _measure(
     beats, vertices, _, n = with_law.shape
     structure = exact_map.size_structure(n, vertices, settings.degree)
 
-    def least_rho(end: Array, shape: Array) -> Array:
+    def least_rho(end: Array, shape: Array) -> tuple[Array, sos.Certificate]:
         problem, unit = exact_map.size_data(structure, end, shape)
-        solution = sos.solve(structure, problem, backend=settings.backend, workers=workers)
-        return np.asarray((solution["rho"] + _deficit(solution)) * unit)
+        certificate = _lifted(sos.solve(structure, problem, backend=settings.backend, workers=workers))
+        rho = np.where(certificate.holds, certificate.solution["rho"] * unit, np.nan)
+        return np.asarray(rho), certificate
 
     def least_volume(end: Array) -> tuple[Array, Array]:
         ellipsoids = exact_map.volume_structure(n, vertices, settings.degree)
@@ -398,14 +411,15 @@ def _measure(
         return np.where(positive[:, None, None], shape, np.nan), np.where(positive, rho, np.nan)
 
     closed, opened = least_volume(with_law), least_volume(data.map_values)
+    size, evidence = least_rho(with_law, data.shape)
     empty = np.zeros(0)
     return _PartResult(
         gains=gains,
         initial_shape=empty,
         initial_rho=empty,
         metric=data.shape,
-        size=least_rho(with_law, data.shape),
-        size_nominal=least_rho(data.map_values, data.shape),
+        size=size,
+        size_nominal=least_rho(data.map_values, data.shape)[0],
         terminal_shape=closed[0],
         terminal_rho=closed[1],
         nominal_shape=opened[0],
@@ -414,4 +428,5 @@ def _measure(
         messages=[],
         bound=empty,
         seconds=empty,
+        evidence=evidence,
     )

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aerotube.sos import Certificate
+
 Array = NDArray[np.float64]
 
 STATES = ("V", "alpha", "q", "theta", "beta", "p", "r", "phi")
@@ -56,6 +58,8 @@ class Law:
         The kind of certificate that the tubes have.
     messages : tuple of str
         One sentence for each infeasible beat.
+    evidence : tuple of Certificate
+        Of the sizes, one for each part.
     settings : mapping
         The keys of the synthesis.
     """
@@ -75,6 +79,7 @@ class Law:
     solve_seconds: Array
     certificate: str
     messages: tuple[str, ...] = ()
+    evidence: tuple[Certificate, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
 
 
