@@ -8,7 +8,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerotube.numerics import ModelSpace, TaylorModel, lookup1, lookup2, select, table1, table2
+from aerotube.numerics import (
+    ModelSpace,
+    TaylorModel,
+    lookup1,
+    lookup2,
+    select,
+    series_kernels,
+    table1,
+    table2,
+    taylor_functions,
+)
 from aerotube.numerics.interval import Interval
 
 DOMAINS = [(3, 1), (1, 1, 1, 1), (4,), (2, 2)]
@@ -82,6 +92,43 @@ def test_the_remainder_falls_with_the_fourth_power_of_the_domain(name):
     for wide, narrow in pairwise(remainders):
         assert np.all(wide / narrow > 14.0)
         assert np.all(wide / narrow < 30.0)
+
+
+@pytest.mark.parametrize("name", ["reciprocal", "sqrt", "exp", "log", "sin", "cos", "arctan", "arcsin", "power"])
+def test_compiled_series_against_interval_arithmetic(name):
+    """Two routes to the same enclosures, over points and over ranges; both hold the floating-point series."""
+    kinds = {"sqrt": "SQRT", "arcsin": "ARCSIN"}
+    kind = getattr(series_kernels, kinds.get(name, name.upper()))
+    series = taylor_functions.power(np.array(4.14)) if name == "power" else getattr(taylor_functions, name)
+    random = np.random.default_rng(9)
+    for low in random.uniform(0.1, 0.7, 40):
+        for high in (low, low + random.uniform(0.0, 0.25)):
+            found = np.empty((6, 2))
+            assert series_kernels.enclose(kind, 4.14, low, high, found)
+            for at in np.linspace(low, high, 4):
+                numbers = np.array(series(np.array(at), 5))
+                slack = 1e-13 * (1.0 + np.abs(numbers))
+                assert np.all((found[:, 0] <= numbers + slack) & (found[:, 1] >= numbers - slack))
+            if name != "power":
+                other = series(Interval(low, high), 5)
+                for row, term in zip(found, other, strict=True):
+                    assert row == pytest.approx([float(term.lower), float(term.upper)], rel=1e-12, abs=1e-12)
+    bad = {"reciprocal": -0.1, "sqrt": -0.1, "log": 0.0, "power": 0.0, "arcsin": -1.0}
+    if name in bad:
+        assert not series_kernels.enclose(kind, 4.14, bad[name], 0.5, np.empty((6, 2)))
+    assert not series_kernels.enclose(kind, 4.14, np.nan, np.nan, np.empty((6, 2)))
+
+
+@pytest.mark.parametrize("name", ["sin", "cos", "exp", "log", "sqrt", "arctan", "arcsin"])
+def test_compiled_values_against_arbitrary_precision(name):
+    flint = pytest.importorskip("flint")
+    other = {"arcsin": "asin", "arctan": "atan"}.get(name, name)
+    kind, found = getattr(series_kernels, name.upper()), np.empty((2, 2))
+    with flint.ctx.workprec(200):
+        for x in np.random.default_rng(10).uniform(0.01, 0.99, 500).tolist():
+            assert series_kernels.enclose(kind, 0.0, x, x, found)
+            exact = getattr(flint.arb(x), other)()
+            assert flint.arb(float(found[0, 0])) <= exact <= flint.arb(float(found[0, 1]))
 
 
 def test_a_product_left_out_of_the_polynomial_is_exact_to_a_rounding():
@@ -230,6 +277,7 @@ def test_branches():
         (lambda x: 1.0 / x, "reciprocal|zero"),
         (lambda x: np.sqrt(x), "square root"),
         (lambda x: np.log(x), "logarithm"),
+        (lambda x: np.log(x * np.ones(3)), r"logarithm .* \(batch index 0\)"),
         (lambda x: np.arcsin(2.0 * x), "arc sine"),
         (lambda x: np.arctan2(x, 0.1), "half plane|arc"),
         (lambda x: np.arctan2(0.1 * x, -1.0), "half a turn"),

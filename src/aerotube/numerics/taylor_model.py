@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aerotube.numerics import model_kernels as kernels
+from aerotube.numerics import series_kernels
 from aerotube.numerics import taylor_functions as functions
 from aerotube.numerics.interval import Interval
 from aerotube.numerics.taylor import Taylor, TaylorSpace
@@ -252,6 +253,21 @@ class TaylorModel:
         extra = found[-1][1].magnitude * powers[..., -1] + (terms.radius * powers[..., :-1]).sum(axis=-1)
         return self.expand(terms.middle, extra * SLACK)
 
+    def function(self, name: str, exponent: float = 0.0) -> TaylorModel:
+        """One of `FUNCTIONS` applied to the models, compiled; `exponent` is that of a power."""
+        kind, needed = FUNCTIONS[name]
+        bounds, middle = self.bounds, self.value.reshape(-1)
+        series, extra = np.empty((middle.size, self.space.order + 1)), np.empty(middle.size)
+        reach, low, high = (part.reshape(-1) for part in (self.reach, bounds.lower, bounds.upper))
+        failed = series_kernels.expand_rows(kind, exponent, middle, reach, low, high, series, extra)
+        if failed >= 0:
+            where = ", ".join(str(i) for i in np.unravel_index(failed, self.shape))
+            raise ValueError(
+                f"the {name} of a Taylor model needs {needed} throughout its range"
+                + (f" (batch index {where})" if where else "")
+            )
+        return self.expand(series.reshape(*self.shape, -1), extra.reshape(self.shape))
+
     def expand(self, series: Array, extra: Array) -> TaylorModel:
         """``sum of series[..., k] * (model - value)**k``, known up to `extra` (...)."""
         shape = np.broadcast_shapes(self.shape, series.shape[:-1])
@@ -341,17 +357,17 @@ class TaylorModel:
         if right is None:
             return NotImplemented
         if isinstance(right, TaylorModel):
-            return self * right.compose(_reciprocal)
+            return self * right.function("reciprocal")
         functions.require(right != 0.0, "division of a Taylor model", "a divisor that is not zero")
         return self * _enclosed(self.space, 1.0 / Interval(right))
 
     def __rtruediv__(self, other: Any) -> TaylorModel:
         left = self._operand(other)
-        return NotImplemented if left is None else self.compose(_reciprocal) * left
+        return NotImplemented if left is None else self.function("reciprocal") * left
 
     def __pow__(self, other: Any) -> TaylorModel:
         if isinstance(other, TaylorModel):
-            return (self.compose(functions.log) * other).compose(functions.exp)
+            return (self.function("logarithm") * other).function("exponential")
         exponent = np.asarray(other, dtype=np.float64)
         if exponent.ndim == 0 and exponent == np.rint(exponent) and 1 <= exponent <= 64:
             whole = int(exponent)
@@ -359,12 +375,14 @@ class TaylorModel:
             if half is None:
                 return self
             return half * half * self if whole % 2 else half * half
+        if exponent.ndim == 0 and exponent != np.rint(exponent):
+            return self.function("power", float(exponent))
         return self.compose(_power(exponent))
 
     def __rpow__(self, other: Any) -> TaylorModel:
         base: Any = Interval(np.asarray(other, dtype=np.float64))
         logarithm = np.log(base)
-        return (self * _enclosed(self.space, logarithm)).compose(functions.exp)
+        return (self * _enclosed(self.space, logarithm)).function("exponential")
 
     def __lt__(self, other: Any) -> Truth:
         return _compare(self, other, lambda x: x < 0.0, lambda x: x >= 0.0)
@@ -395,6 +413,19 @@ class TaylorModel:
         if function is np.zeros_like and len(args) == 1 and not kwargs:
             return np.zeros(self.shape)
         return NotImplemented
+
+
+FUNCTIONS = {
+    "reciprocal": (series_kernels.RECIPROCAL, "what is not zero"),
+    "square root": (series_kernels.SQRT, "what is positive"),
+    "power": (series_kernels.POWER, "what is positive"),
+    "exponential": (series_kernels.EXP, "numbers"),
+    "logarithm": (series_kernels.LOG, "what is positive"),
+    "sine": (series_kernels.SIN, "numbers"),
+    "cosine": (series_kernels.COS, "numbers"),
+    "arc tangent": (series_kernels.ARCTAN, "numbers"),
+    "arc sine": (series_kernels.ARCSIN, "what is between -1 and 1"),
+}
 
 
 def choose(condition: Any, if_true: Any, if_false: Any) -> TaylorModel:
@@ -486,15 +517,6 @@ def _enclosed(space: ModelSpace, interval: Interval) -> TaylorModel:
     return space.constant(interval.middle, interval.radius)
 
 
-def _reciprocal(x: Interval, order: int) -> list[Any]:
-    """One over the argument: that of the Taylor arithmetic, each power from the last."""
-    inverse = 1.0 / x
-    terms, step = [inverse], -inverse
-    for _ in range(order):
-        terms.append(terms[-1] * step)
-    return terms
-
-
 def _power(exponent: Array) -> Callable[[Any, int], list[Any]]:
     def series(x: Interval, order: int) -> list[Any]:
         terms: list[Any] = [x**exponent]
@@ -514,7 +536,7 @@ def _arctan2(y: Any, x: Any) -> TaylorModel:
     functions.require(ahead.bounds > 0.0, "the angle of a point given by Taylor models", "a point within a half plane")
     origin: Any = Interval(y0)
     start = np.arctan2(origin, x0)
-    angle = (across / ahead).compose(functions.arctan).shifted(start.middle, start.radius)
+    angle = (across / ahead).function("arc tangent").shifted(start.middle, start.radius)
     within = np.abs(angle.value) + angle.reach < np.pi
     functions.require(within, "the angle of a point given by Taylor models", "to stay within half a turn of zero")
     return angle
@@ -532,6 +554,10 @@ def _unary(series: Callable[..., list[Any]]) -> Any:
     return lambda x: x.compose(series)
 
 
+def _named(name: str) -> Any:
+    return lambda x: x.function(name)
+
+
 def _compared(a: Any, b: Any) -> Any:
     return a - b if isinstance(a, TaylorModel) else b.__rsub__(a)
 
@@ -546,7 +572,7 @@ _UFUNCS: dict[np.ufunc, Any] = {
     np.power: lambda a, b: a**b if isinstance(a, TaylorModel) else b.__rpow__(a),
     np.float_power: lambda a, b: a**b if isinstance(a, TaylorModel) else b.__rpow__(a),
     np.arctan2: _arctan2,
-    np.hypot: lambda a, b: (a * a + b * b).compose(functions.sqrt),
+    np.hypot: lambda a, b: (a * a + b * b).function("square root"),
     np.maximum: larger,
     np.minimum: lambda a, b: -larger(-a, -b),
     np.negative: lambda a: -a,
@@ -563,16 +589,16 @@ _UFUNCS: dict[np.ufunc, Any] = {
     np.less_equal: lambda a, b: _compared(a, b) <= 0.0,
     np.greater: lambda a, b: _compared(a, b) > 0.0,
     np.greater_equal: lambda a, b: _compared(a, b) >= 0.0,
-    np.reciprocal: _unary(_reciprocal),
-    np.sqrt: _unary(functions.sqrt),
-    np.exp: _unary(functions.exp),
-    np.log: _unary(functions.log),
-    np.sin: _unary(functions.sin),
-    np.cos: _unary(functions.cos),
+    np.reciprocal: _named("reciprocal"),
+    np.sqrt: _named("square root"),
+    np.exp: _named("exponential"),
+    np.log: _named("logarithm"),
+    np.sin: _named("sine"),
+    np.cos: _named("cosine"),
     np.tan: _unary(functions.tan),
-    np.arcsin: _unary(functions.arcsin),
+    np.arcsin: _named("arc sine"),
     np.arccos: _unary(functions.arccos),
-    np.arctan: _unary(functions.arctan),
+    np.arctan: _named("arc tangent"),
     np.sinh: _unary(functions.sinh),
     np.cosh: _unary(functions.cosh),
     np.tanh: _unary(functions.tanh),
