@@ -195,12 +195,9 @@ def trial(seed, second_opinion=True):
     if second_opinion:
         other = sos.solve(structure, data, backend="clarabel")
         if status == Status.OPTIMAL and other.optimal and other.primal_residual < 1e-7:
-            size = max(abs(float(solution.objective)), abs(float(other.objective)))
-            scale = float(np.abs(objective) @ np.abs(solution.values))
-            assert abs(solution.objective - other.objective) <= 1e-5 * size + 1e-6 * scale, (
-                solution.objective,
-                other.objective,
-            )
+            scale = max(float(np.abs(objective) @ np.abs(x.values)) for x in (solution, other))
+            difference = abs(float(solution.objective - other.objective))
+            assert difference <= 1e-5 * scale, (solution.objective, other.objective)
         if {status, Status(int(other.status))} == {Status.OPTIMAL, Status.INFEASIBLE}:
             assert "nearly infeasible" in names or "scale" in " ".join(names), "the solvers disagree"
     return str(status)

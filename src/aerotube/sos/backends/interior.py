@@ -32,7 +32,7 @@ from aerotube.sos.program import Data, Structure
 from aerotube.sos.solution import Status
 
 _STATUS = {-1: Status.TROUBLE, 0: Status.OPTIMAL, 2: Status.INFEASIBLE, 3: Status.UNBOUNDED, 4: Status.TROUBLE}
-_PRIMAL, _DUAL, _GAP = 3, 4, 5
+_PRIMAL, _DUAL, _GAP = 0, 1, 2
 _rooms: dict[tuple[Structure, int], list[State]] = {}
 _lock = threading.Lock()
 
@@ -166,12 +166,12 @@ def _answers(structure: Structure, data: Data, lay: Layout, out: Array, taken: A
         else:
             at, rows = vectors + int(lay.con[VECTOR, i]), int(lay.con[ROWS, i])
             multipliers[c.name] = out[:, at : at + rows].reshape(*batch, rows)
-    status = np.array([_STATUS[int(k)] for k in out[:, 14]], dtype=np.int64)
+    status = np.array([_STATUS[int(k)] for k in out[:, 3]], dtype=np.int64)
     status[late.astype(bool)] = Status.DEADLINE
     return {
         "values": out[:, run.NUMBERS : run.NUMBERS + m].reshape(*batch, m),
         "status": status.reshape(batch),
-        "iterations": out[:, 15].astype(np.int64).reshape(batch),
+        "iterations": out[:, 4].astype(np.int64).reshape(batch),
         "seconds": taken.reshape(batch),
         "grams": grams,
         "multipliers": multipliers,

@@ -71,6 +71,9 @@ from aerotube.sos.interior.state import (
     values,
 )  # fmt: skip
 
+REFINE_ABOVE = 1e-13
+"""Error of the scaled equations in a direction that is worth another solve."""
+
 
 @inner
 def block_targets(lay, st, i, center, eta, second):  # type: ignore[no-untyped-def]
@@ -249,3 +252,84 @@ def direction(lay, st, center, eta, second, tau_side):  # type: ignore[no-untype
     dtau = eliminate(lay, st, eta, tau_side)
     recover(lay, st, dtau, eta)
     return dtau
+
+
+@inner
+def leftover(lay, st, dtau, eta):  # type: ignore[no-untyped-def]
+    """Put what rounding left of the sampled constraints' equations into `a`; return the largest."""
+    worst = 0.0
+    for i in range(lay.con.shape[1]):
+        if lay.con[KIND, i] == LMI:
+            continue
+        rest, residual = part(lay, st, A, i), part(lay, st, RESIDUAL, i)
+        rest[:] = 0.0
+        if lay.con[KIND, i] != SOS:
+            continue
+        values(lay, st, DD, dtau, i, rest)
+        for u in range(rest.shape[0]):
+            rest[u] = -rest[u] - eta * residual[u]
+        for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
+            dQ, tall = block(lay, st, DQ, b), tall_of(lay, st, TALL, b)
+            blocks.add_values(rows_of(lay, b), weights_of(lay, b), dQ, 1.0, rest, tall)
+        worst = max(worst, small.largest(rest))
+    return worst
+
+
+@inner
+def refine(lay, st, dtau, eta):  # type: ignore[no-untyped-def]
+    """Remove what rounding left of the sampled constraints' equations in the direction, by one more solve."""
+    keep_apart()
+    if leftover(lay, st, dtau, eta) < REFINE_ABOVE:
+        return
+    m = lay.at[M]
+    factor = matrix_at(st.heap, lay.at[SCHUR_FACTOR], m, m)
+    dd, kept, rhs = decision(lay, st, DD), decision(lay, st, U2), decision(lay, st, RHS)
+    rhs[:] = 0.0
+    for i in range(lay.con.shape[1]):
+        if lay.con[KIND, i] == SOS:
+            blas.solve_lower_vector(factor_of(lay, st, i), part(lay, st, A, i))
+            add_adjoint(lay, st, V, i, part(lay, st, A, i), rhs)
+    small.copy(dd, kept)
+    small.copy(rhs, dd)
+    blas.solve_lower_vector(factor, dd[:m])
+    blas.solve_upper_vector(factor, dd[:m])
+    for i in range(lay.con.shape[1]):
+        refine_part(lay, st, i)
+    small.add(dd, 1.0, kept)
+
+
+@inner
+def refine_part(lay, st, i):  # type: ignore[no-untyped-def]
+    """Add the correction that `dd` and `a` hold to constraint i's part of the direction."""
+    keep_apart()
+    kind, zero = lay.con[KIND, i], 0.0
+    if kind == LMI:
+        values(lay, st, DD, zero, i, entries(lay, st, T, lay.con[FIRST, i]))
+    else:
+        a, dy, root = part(lay, st, A, i), part(lay, st, DY, i), part(lay, st, ROOT, i)
+        blas.times_vector(compact(lay, st, V, i), gather(lay, st, i, DD, zero), a, -1.0, 1.0)
+        if kind == SOS:
+            blas.solve_upper_vector(factor_of(lay, st, i), a)
+            small.add(dy, 1.0, a)
+        else:
+            change = scratch(lay, st, SCRATCH, a.shape[0])
+            if kind == NORM:
+                cones.apply(part(lay, st, W, i), root[0], a, change, cones.INVERSE)
+            else:
+                for r in range(a.shape[0]):
+                    change[r] = a[r] / root[r]
+            small.add(dy, 1.0, change)
+            values(lay, st, DD, zero, i, change)
+            small.add(part(lay, st, DS, i), 1.0, change)
+    for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
+        n = lay.blk[ORDER, b]
+        target, room = block(lay, st, T, b), scratch(lay, st, SCRATCH, n * n)
+        product = matrix_at(st.heap, lay.at[SCRATCH] + n * n, n, n)
+        if kind == SOS:
+            functional = part(lay, st, A, i)
+            blocks.moment_matrix(rows_of(lay, b), weights_of(lay, b), functional, target, tall_of(lay, st, TALL, b))
+        blas.multiply(target, block(lay, st, INVERSE, b), product)
+        blocks.symmetric_product(block(lay, st, Q, b), product, -1.0, block(lay, st, DQ, b), room)
+        small.add(entries(lay, st, DZ, b), 1.0, entries(lay, st, T, b))
+        start = lay.at[SCRATCH] + n * n
+        small.add(entries(lay, st, E, b), 1.0, st.heap[start : start + n * n])

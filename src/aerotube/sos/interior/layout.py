@@ -119,8 +119,8 @@ def layout(structure: Structure) -> Layout:
     widest = max([nodes, order * order, *con[ROWS].tolist()])
     lengths = np.array(
         [matrices] * 13 + [vectors] * 12 + [m + 1] * 9
-        + [compact, compact, factors, nodes * nodes, nodes * nodes, nodes * order, tall, 4 * order * order]
-        + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2, groups * (m + 1), groups, 16]
+        + [compact, compact, factors, nodes * nodes, nodes * nodes, nodes * order, tall, 4 * order * order + widest]
+        + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2, groups * (m + 1), groups, 24]
     )  # fmt: skip
     at = np.zeros(_COUNT, dtype=np.int64)
     # Every storage starts at a multiple of eight numbers, a cache line.

@@ -46,6 +46,9 @@ from aerotube.sos.interior.layout import (
 )  # fmt: skip
 from aerotube.sos.interior.state import (
     BEST,
+    BEST_DUAL,
+    BEST_GAP,
+    BEST_PRIMAL,
     BETA_OMEGA,
     DUAL,
     DUAL_RAY,
@@ -182,6 +185,7 @@ def judge(lay, st, feasibility, optimality):  # type: ignore[no-untyped-def]
     merit = max(number[PRIMAL] / feasibility, number[DUAL] / feasibility, number[GAP] / optimality)
     if merit < number[BEST]:
         number[BEST] = merit
+        number[BEST_PRIMAL], number[BEST_DUAL], number[BEST_GAP] = number[PRIMAL], number[DUAL], number[GAP]
         scale = 1.0 / number[TAU]
         keep(scratch(lay, st, D, lay.at[M]), scale, scratch(lay, st, BEST_D, lay.at[M]))
         keep(scratch(lay, st, Q, lay.at[MATRICES]), scale, scratch(lay, st, BEST_Q, lay.at[MATRICES]))

@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 
 from aerotube.sos.interior.compiled import inner, keep_apart
-from aerotube.sos.interior.direction import direction
+from aerotube.sos.interior.direction import direction, refine
 from aerotube.sos.interior.layout import DEGREE
 from aerotube.sos.interior.measure import judge, measure
 from aerotube.sos.interior.schur import assemble
@@ -44,6 +44,7 @@ from aerotube.sos.interior.state import (
 from aerotube.sos.interior.step import longest_steps, move, predicted, swap_direction
 
 REACH = 0.99
+REFINE_BELOW = 1e-5
 COARSE, FINE, CORRECTORS = np.array([3, 6, 2])
 NO, YES = np.arange(2)
 
@@ -82,6 +83,8 @@ def iterate(lay, st, optimality):  # type: ignore[no-untyped-def]
         side = sigma * mu - tau * kappa - dtau * dkappa
         dtau = direction(lay, st, sigma * mu, eta, YES, side)
         dkappa = (side - kappa * dtau) / tau if homogeneous else 0.0
+        if mu < REFINE_BELOW:
+            refine(lay, st, dtau, eta)
         primal, dual = longest_steps(lay, st, 1.0 / REACH, dtau, dkappa, FINE if k == CORRECTORS else COARSE)
         if k > 0 and not min(primal, dual) >= 0.9 * min(best_primal, best_dual):
             swap_direction(lay, st, YES)

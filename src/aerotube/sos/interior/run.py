@@ -32,6 +32,9 @@ from aerotube.sos.interior.layout import (
 from aerotube.sos.interior.method import advance
 from aerotube.sos.interior.state import (
     BEST,
+    BEST_DUAL,
+    BEST_GAP,
+    BEST_PRIMAL,
     BETA,
     HOMOGENEOUS,
     INFEASIBLE,
@@ -46,8 +49,8 @@ from aerotube.sos.interior.state import (
     scratch,
 )  # fmt: skip
 
-NUMBERS = 16
-"""Length of the head of an answer: the state's numbers, with the status in place 14 and the iterations in 15."""
+NUMBERS = 8
+"""Length of the head of an answer: primal and dual residual, gap, status, iterations."""
 DIRECT, EMBEDDED = np.arange(2)
 START_PRIMAL, START_DUAL = 1.0, 3.0
 ACCEPTED = 10.0
@@ -80,8 +83,9 @@ def proceed(lay, st, feasibility, optimality, limit, budget):  # type: ignore[no
         st.ints[STATUS] = STALLED
         return True
     best, used = number[BEST], st.ints[ITERATIONS]
+    primal, dual, gap = number[BEST_PRIMAL], number[BEST_DUAL], number[BEST_GAP]
     state.start(lay, st, EMBEDDED, 1.0, 1.0)
-    number[BEST] = best
+    number[BEST], number[BEST_PRIMAL], number[BEST_DUAL], number[BEST_GAP] = best, primal, dual, gap
     # The embedding has as many iterations again.
     st.ints[ITERATIONS] = max(0, used - limit)
     return False
@@ -102,9 +106,8 @@ def finish(lay, st, out):  # type: ignore[no-untyped-def]
     """Write the answer in the program's own units: the head, then d, the matrices, and the vectors."""
     m, number = lay.at[M], numbers(lay, st)
     status = st.ints[STATUS]
-    for k in range(NUMBERS):
-        out[k] = number[k]
-    out[14], out[15] = status, st.ints[ITERATIONS]
+    out[0], out[1], out[2] = number[BEST_PRIMAL], number[BEST_DUAL], number[BEST_GAP]
+    out[3], out[4] = status, st.ints[ITERATIONS]
     ray = status in (INFEASIBLE, UNBOUNDED)
     d = scratch(lay, st, D if ray else BEST_D, m)
     column = scratch(lay, st, COLUMN, m)

@@ -130,7 +130,7 @@ def unpack(lay, st, flat):  # type: ignore[no-untyped-def]
     objective, column = decision(lay, st, OBJECTIVE), decision(lay, st, COLUMN)
     extent = matrix_at(st.heap, lay.at[EXTENT], lay.at[GROUPS], m + 1)
     row = st.heap[lay.at[ROW] : lay.at[ROW] + lay.at[GROUPS]]
-    number = st.heap[lay.at[NUMBER] : lay.at[NUMBER] + 16]
+    number = st.heap[lay.at[NUMBER] : lay.at[NUMBER] + 24]
     _measure(lay, extent, flat)
     _balance(extent, row, column)
     constant, slope = 0.0, 0.0

@@ -115,3 +115,12 @@ def copy_matrix(source, out):  # type: ignore[no-untyped-def]
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):
             out[i, j] = source[i, j]
+
+
+@inner
+def largest(a):  # type: ignore[no-untyped-def]
+    """Largest magnitude of a flat array."""
+    top = 0.0
+    for i in range(a.shape[0]):
+        top = max(top, abs(a[i]))
+    return top

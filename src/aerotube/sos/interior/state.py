@@ -49,13 +49,13 @@ RUNNING, OPTIMAL, INFEASIBLE, UNBOUNDED, STALLED = -1, 0, 2, 3, 4
 STATUS, ITERATIONS, HOMOGENEOUS, STALLS = np.arange(4)
 # Places among its numbers.
 TAU, KAPPA, MU, PRIMAL, DUAL, GAP, PVALUE, DVALUE, STEP, BETA, OMEGA, DUAL_RAY, BEST, BETA_OMEGA = np.arange(14)
-GAP_RESIDUAL, PRIMAL_RAY = 14, 15
+GAP_RESIDUAL, PRIMAL_RAY, BEST_PRIMAL, BEST_DUAL, BEST_GAP = np.arange(14, 19)
 
 
 @inner
 def numbers(lay, st):  # type: ignore[no-untyped-def]
     """Scalars of the state."""
-    return st.heap[lay.at[NUMBER] : lay.at[NUMBER] + 16]
+    return st.heap[lay.at[NUMBER] : lay.at[NUMBER] + 24]
 
 
 @inner
@@ -76,6 +76,7 @@ def start(lay, st, homogeneous, primal, dual):  # type: ignore[no-untyped-def]
     number[KAPPA] = 1.0 if homogeneous == 1 else 0.0
     number[STEP] = 1.0
     number[BEST] = np.inf
+    number[BEST_PRIMAL] = number[BEST_DUAL] = number[BEST_GAP] = np.inf
     number[BETA_OMEGA] = number[BETA] * number[OMEGA]
     decision(lay, st, D)[:] = 0.0
     scratch(lay, st, Q, lay.at[MATRICES])[:] = 0.0
