@@ -178,9 +178,16 @@ def test_shares_cover_what_a_half_leaves_out(half):
     assert np.all(worst <= share.parameters + 2.0 * share.remainder)
     assert np.all(share.parameters < 3.0 * worst + 1e-4)
 
+    # what coupling adds to the size itself, by the polynomials with the other half and without
+    both, alone = (found(at)[..., list(errors)] for at in (z, own))
+    added = np.einsum("bui,ij,buj->bu", both, METRIC[half], both) - np.einsum(
+        "bui,ij,buj->bu", alone, METRIC[half], alone
+    )
+    assert np.all(added.max(1) <= share.coupling_size)
+    assert np.all(share.coupling_size < 4.0 * added.max(1))
+
     # the bound that follows for the whole set, from a bound of the half's own polynomial
     true = truth(over, z, GAINS)[..., list(errors)]
-    alone = found(own)[..., list(errors)]
     largest = np.einsum("bui,ij,buj->bu", alone, METRIC[half], alone).max(1)
     sizes = np.einsum("bui,ij,buj->bu", true, METRIC[half], true).max(1)
     assert np.all(sizes <= share.bound(graded_sizes(found, metric, errors).sum(1) ** 2))

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerotube.dynamics.enclosure import ErrorEnclosure
 from aerotube.errors import InputError
+from aerotube.numerics.taylor import Taylor
 from aerotube.numerics.taylor_model import SLACK, ModelSpace
 
 Array = NDArray[np.float64]
@@ -40,6 +41,9 @@ class Excess:
         Terms that are not affine in each parameter, so that its extremes need not be the worst.
     disturbances : ndarray (b,)
         Terms in measurement errors and wind.
+    coupling_size : ndarray (b,)
+        Another bound of the same: what those terms add to the size itself, in which they need not line up with the
+        part's own error as a norm must assume. `bound` takes whichever gives less.
     control : ndarray (b,)
         Nonlinearity of the increment's effect, which a program affine in the law leaves out. Zero unless the
         enclosure without the law was given; B is then the one in that polynomial.
@@ -47,19 +51,22 @@ class Excess:
 
     remainder: Array
     coupling: Array
+    coupling_size: Array
     parameters: Array
     disturbances: Array
     control: Array
 
     @property
     def total(self) -> Array:
-        """Sum of all shares (b,)."""
+        """Sum of all shares (b,), each as a norm."""
         shares = self.remainder + self.coupling + self.parameters + self.disturbances + self.control
         return np.asarray(shares * SLACK)
 
     def bound(self, rho: ArrayLike) -> Array:
         """Bound (b,) of the map's size where its polynomial's is at most `rho` (b,)."""
-        size = (np.sqrt(np.asarray(rho, dtype=float)) + self.total) ** 2
+        own = np.sqrt(np.asarray(rho, dtype=float)) + self.parameters
+        coupled = np.minimum(own + self.coupling, np.sqrt(own**2 + self.coupling_size))
+        size = (coupled + self.remainder + self.disturbances + self.control) ** 2
         return np.asarray(size * (SLACK + 4.0 * _ROOT_TOLERANCE))
 
 
@@ -114,9 +121,49 @@ def excess(
     return Excess(
         remainder=(_box_size(root, enclosure.remainder[:, list(errors)]) + every) * (SLACK + _ROOT_TOLERANCE),
         coupling=norm(terms, rounding, (elsewhere > 0) & (disturbed == 0)),
+        coupling_size=_coupling_size(enclosure, terms, rounding, alone, (elsewhere > 0) & (disturbed == 0)),
         parameters=norm(terms, rounding, bent & alone),
         disturbances=norm(terms, rounding, disturbed > 0),
         control=control,
+    )
+
+
+def _coupling_size(
+    enclosure: ErrorEnclosure,
+    terms: Array,
+    rounding: Array,
+    own: NDArray[np.bool_],
+    coupled: NDArray[np.bool_],
+) -> Array:
+    """Bound (b,) of the squared norm of terms (b, n, size), own and coupled, less that of their own ones alone."""
+    space, norm = enclosure.space, _VectorNorm(enclosure.space)
+    if not coupled.any():
+        return np.zeros(len(terms))
+    chosen = Taylor(space.taylor, terms * (own | coupled))
+    square = (chosen * chosen).coefficients.sum(axis=1, keepdims=True)
+    kept = norm(square, np.zeros_like(square), coupled)
+    # what the product of polynomials cuts off
+    degrees = enclosure.degree(*enclosure.set.names)
+    alone, mixed = (
+        [norm(terms, rounding, mask & (degrees == k)) for k in range(space.order + 1)] for mask in (own, coupled)
+    )
+    cut = np.zeros(len(terms))
+    for i, j in product(range(space.order + 1), repeat=2):
+        if i + j > space.order:
+            cut += mixed[i] * (alone[j] + mixed[j]) + alone[i] * mixed[j]
+    return np.asarray((kept + cut + _square_rounding(space, terms, rounding)) * SLACK)
+
+
+def _square_rounding(space: ModelSpace, terms: Array, rounding: Array) -> Array:
+    """Bound (b,) of the rounding of the squared norm of polynomials (b, n, size), by products or at points.
+
+    No more than `size` products of coefficients, or of coefficients and monomials, are added up, and their absolute
+    values are at most those of the sums of all coefficients.
+    """
+    largest = np.sqrt(space.layout.weights)
+    whole = np.abs(terms * largest).sum(axis=(1, 2))
+    return np.asarray(
+        (space.size + 64.0) * 2.0 * _UNIT * whole**2 + 2.0 * whole * (rounding * largest).sum(axis=(1, 2))
     )
 
 
@@ -198,12 +245,7 @@ def size_samples(
         ),
         np.zeros(graded[0].shape[:3]),
     )
-    # each value sums at most `size` products of coefficients and monomials, themselves of a few factors; the
-    # absolute values add up to at most the norms of the coefficients times the root of their number
-    largest = np.sqrt(space.layout.weights)
-    whole = np.abs(terms * largest).sum(axis=(1, 2))
-    slip = (space.size + 64.0) * 2.0 * _UNIT * whole**2 + 2.0 * whole * (rounding * largest).sum(axis=(1, 2))
-    return SizeSamples(values, left_out * SLACK, slip)
+    return SizeSamples(values, left_out * SLACK, _square_rounding(space, terms, rounding))
 
 
 def graded_sizes(enclosure: ErrorEnclosure, metric: Array, errors: Sequence[int]) -> Array:
