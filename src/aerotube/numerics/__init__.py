@@ -1,5 +1,6 @@
 """Plain numerical tools that know no aircraft: tables, attitude, Taylor arithmetic, intervals, Taylor models."""
 
+from aerotube.numerics import model_functions  # noqa: F401 - what NumPy does with Taylor models
 from aerotube.numerics.attitude import (
     body_to_earth,
     earth_to_body,

@@ -35,11 +35,12 @@ from aerotube.numerics import series_kernels
 from aerotube.numerics import taylor_functions as functions
 from aerotube.numerics.interval import Interval
 from aerotube.numerics.taylor import Taylor, TaylorSpace
+from aerotube.numerics.truth import Truth, truth_of
 
 Array = NDArray[np.float64]
-Truths = NDArray[np.bool_]
 
 SLACK = kernels.SLACK
+UFUNCS: dict[np.ufunc, Any] = {}  # filled in by `model_functions`
 
 
 @lru_cache(maxsize=32)
@@ -134,41 +135,6 @@ class ModelSpace:
         for row in data.reshape(-1, data.shape[-1]):
             kernels.set_norms(row, self.layout)
         return TaylorModel(self, data)
-
-
-class Truth:
-    """Whether a comparison of models holds: throughout the domain, nowhere, or here and there.
-
-    Attributes
-    ----------
-    certain, possible, central : array of bool (...)
-        It holds at all points; it is not known to fail at all points; it holds for the polynomials at the centre.
-    """
-
-    __slots__ = ("central", "certain", "possible")
-
-    def __init__(self, certain: Truths, possible: Truths, central: Truths) -> None:
-        self.certain, self.possible, self.central = certain, possible, central
-
-    def __invert__(self) -> Truth:
-        return Truth(~self.possible, ~self.certain, ~self.central)
-
-    def __and__(self, other: Any) -> Truth:
-        right = _truth(other)
-        return Truth(self.certain & right.certain, self.possible & right.possible, self.central & right.central)
-
-    def __or__(self, other: Any) -> Truth:
-        right = _truth(other)
-        return Truth(self.certain | right.certain, self.possible | right.possible, self.central | right.central)
-
-    __rand__, __ror__ = __and__, __or__
-
-    def __bool__(self) -> bool:
-        if self.certain.all():
-            return True
-        if self.possible.any():
-            raise ValueError("a comparison of Taylor models is not decided; branch with `select`")
-        return False
 
 
 class TaylorModel:
@@ -319,7 +285,7 @@ class TaylorModel:
         return self
 
     def __abs__(self) -> TaylorModel:
-        return larger(self, -self)
+        return UFUNCS[np.absolute](self)
 
     def __add__(self, other: Any) -> TaylorModel:
         right = self._operand(other)
@@ -359,7 +325,7 @@ class TaylorModel:
         if isinstance(right, TaylorModel):
             return self * right.function("reciprocal")
         functions.require(right != 0.0, "division of a Taylor model", "a divisor that is not zero")
-        return self * _enclosed(self.space, 1.0 / Interval(right))
+        return self * enclosed(self.space, 1.0 / Interval(right))
 
     def __rtruediv__(self, other: Any) -> TaylorModel:
         left = self._operand(other)
@@ -382,7 +348,7 @@ class TaylorModel:
     def __rpow__(self, other: Any) -> TaylorModel:
         base: Any = Interval(np.asarray(other, dtype=np.float64))
         logarithm = np.log(base)
-        return (self * _enclosed(self.space, logarithm)).function("exponential")
+        return (self * enclosed(self.space, logarithm)).function("exponential")
 
     def __lt__(self, other: Any) -> Truth:
         return _compare(self, other, lambda x: x < 0.0, lambda x: x >= 0.0)
@@ -403,9 +369,9 @@ class TaylorModel:
         return ~(self == other)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        if method != "__call__" or options or ufunc not in _UFUNCS:
+        if method != "__call__" or options or ufunc not in UFUNCS:
             return NotImplemented
-        return _UFUNCS[ufunc](*inputs)
+        return UFUNCS[ufunc](*inputs)
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
         if function is np.where and len(args) == 3 and not kwargs:
@@ -434,7 +400,7 @@ def choose(condition: Any, if_true: Any, if_false: Any) -> TaylorModel:
     Where a `Truth` is undecided: the branch that holds at the centre of the domain, its remainder enlarged to as much
     as the other may differ from its polynomial.
     """
-    truth = _truth(condition)
+    truth = truth_of(condition)
     space = next(x.space for x in (if_true, if_false) if isinstance(x, TaylorModel))
     first, second = (x if isinstance(x, TaylorModel) else space.constant(x) for x in (if_true, if_false))
     data = np.where(truth.central[..., None], first.data, second.data)
@@ -447,18 +413,6 @@ def choose(condition: Any, if_true: Any, if_false: Any) -> TaylorModel:
     return TaylorModel(space, data)
 
 
-def larger(first: Any, second: Any) -> TaylorModel:
-    """The larger of two models, or of a model and numbers: the one larger at the centre, and what it may lack."""
-    space = next(x.space for x in (first, second) if isinstance(x, TaylorModel))
-    a, b = (x if isinstance(x, TaylorModel) else space.constant(x) for x in (first, second))
-    excess = b - a
-    ahead = excess.value > 0.0
-    data = np.where(ahead[..., None], b.data, a.data)
-    bounds = excess.bounds
-    data[..., -1] = (data[..., -1] + np.maximum(np.where(ahead, -bounds.lower, bounds.upper), 0.0)) * SLACK
-    return TaylorModel(space, data)
-
-
 def combine(terms: Sequence[TaylorModel], series: Array, extra: Array) -> tuple[TaylorModel, ...]:
     """Models ``sum over t of series[..., output, t] * terms[t]``, each known up to ``extra[..., output]``."""
     space, shape = terms[0].space, np.broadcast_shapes(*(term.shape for term in terms))
@@ -468,13 +422,6 @@ def combine(terms: Sequence[TaylorModel], series: Array, extra: Array) -> tuple[
     factors = np.ascontiguousarray(series).reshape(-1, *series.shape[-2:])
     kernels.combine_rows(rows, factors, extra.reshape(-1, outputs), space.layout, out)
     return tuple(TaylorModel(space, row.reshape(*shape, -1)) for row in out)
-
-
-def _truth(condition: Any) -> Truth:
-    if isinstance(condition, Truth):
-        return condition
-    known = np.asarray(condition, dtype=np.bool_)
-    return Truth(known, known, known)
 
 
 def _compare(left: Any, right: Any, holds: Any, fails: Any) -> Truth:
@@ -513,7 +460,8 @@ def _as_interval(x: Any) -> Interval:
     return x if isinstance(x, Interval) else Interval(x)
 
 
-def _enclosed(space: ModelSpace, interval: Interval) -> TaylorModel:
+def enclosed(space: ModelSpace, interval: Interval) -> TaylorModel:
+    """A constant known to lie in an interval (...)."""
     return space.constant(interval.middle, interval.radius)
 
 
@@ -525,81 +473,3 @@ def _power(exponent: Array) -> Callable[[Any, int], list[Any]]:
         return terms
 
     return series
-
-
-def _arctan2(y: Any, x: Any) -> TaylorModel:
-    """Angle of (x, y) from its direction at the centre of the domain; a range across the half turn is refused."""
-    y0, x0 = (np.asarray(z.value if isinstance(z, TaylorModel) else z, dtype=np.float64) for z in (y, x))
-    functions.require(x0 * x0 + y0 * y0 > 0.0, "the angle of a point given by Taylor models", "a point off the origin")
-    scale = 1.0 / (x0 * x0 + y0 * y0)
-    ahead, across = (x * x0 + y * y0) * scale, (y * x0 - x * y0) * scale
-    functions.require(ahead.bounds > 0.0, "the angle of a point given by Taylor models", "a point within a half plane")
-    origin: Any = Interval(y0)
-    start = np.arctan2(origin, x0)
-    angle = (across / ahead).function("arc tangent").shifted(start.middle, start.radius)
-    within = np.abs(angle.value) + angle.reach < np.pi
-    functions.require(within, "the angle of a point given by Taylor models", "to stay within half a turn of zero")
-    return angle
-
-
-def _rint(x: TaylorModel) -> Array:
-    bounds = x.bounds
-    functions.require(
-        np.rint(bounds.lower) == np.rint(bounds.upper), "rounding a Taylor model", "a range that rounds to one number"
-    )
-    return np.asarray(np.rint(x.value))
-
-
-def _unary(series: Callable[..., list[Any]]) -> Any:
-    return lambda x: x.compose(series)
-
-
-def _named(name: str) -> Any:
-    return lambda x: x.function(name)
-
-
-def _compared(a: Any, b: Any) -> Any:
-    return a - b if isinstance(a, TaylorModel) else b.__rsub__(a)
-
-
-_DEGREE = Interval(np.nextafter(np.pi, 0.0), np.nextafter(np.pi, 4.0)) / 180.0
-
-_UFUNCS: dict[np.ufunc, Any] = {
-    np.add: lambda a, b: b + a if isinstance(b, TaylorModel) else a + b,
-    np.subtract: _compared,
-    np.multiply: lambda a, b: b * a if isinstance(b, TaylorModel) else a * b,
-    np.divide: lambda a, b: a / b if isinstance(a, TaylorModel) else b.__rtruediv__(a),
-    np.power: lambda a, b: a**b if isinstance(a, TaylorModel) else b.__rpow__(a),
-    np.float_power: lambda a, b: a**b if isinstance(a, TaylorModel) else b.__rpow__(a),
-    np.arctan2: _arctan2,
-    np.hypot: lambda a, b: (a * a + b * b).function("square root"),
-    np.maximum: larger,
-    np.minimum: lambda a, b: -larger(-a, -b),
-    np.negative: lambda a: -a,
-    np.positive: lambda a: a,
-    np.absolute: abs,
-    np.fabs: abs,
-    np.square: lambda a: a * a,
-    np.deg2rad: lambda a: a * _enclosed(a.space, _DEGREE),
-    np.radians: lambda a: a * _enclosed(a.space, _DEGREE),
-    np.rad2deg: lambda a: a * _enclosed(a.space, 1.0 / _DEGREE),
-    np.degrees: lambda a: a * _enclosed(a.space, 1.0 / _DEGREE),
-    np.rint: _rint,
-    np.less: lambda a, b: _compared(a, b) < 0.0,
-    np.less_equal: lambda a, b: _compared(a, b) <= 0.0,
-    np.greater: lambda a, b: _compared(a, b) > 0.0,
-    np.greater_equal: lambda a, b: _compared(a, b) >= 0.0,
-    np.reciprocal: _named("reciprocal"),
-    np.sqrt: _named("square root"),
-    np.exp: _named("exponential"),
-    np.log: _named("logarithm"),
-    np.sin: _named("sine"),
-    np.cos: _named("cosine"),
-    np.tan: _unary(functions.tan),
-    np.arcsin: _named("arc sine"),
-    np.arccos: _unary(functions.arccos),
-    np.arctan: _named("arc tangent"),
-    np.sinh: _unary(functions.sinh),
-    np.cosh: _unary(functions.cosh),
-    np.tanh: _unary(functions.tanh),
-}
