@@ -153,6 +153,25 @@ def test_lower_orders_by_truncation():
     assert np.all(cut.remainder > found.remainder)
 
 
+def test_a_polynomial_law():
+    """The law is any polynomial of the measured error: here one of second degree."""
+
+    def law(error):
+        zero = 0.0 * error[0]
+        return [0.4 * error[2] + 3.0 * error[1] * error[1], -400.0 * error[0], 0.2 * error[5] * error[3], zero]
+
+    over, aircraft, nominal = whole_set(), samples.aircraft("smooth"), samples.table2(5, "smooth")
+    found = enclosed(over, law)
+    z = points_of(over, 1500)
+    error = np.einsum("bik,buk->bui", over.error, z)
+    increment = np.stack(law(np.moveaxis(error, -1, 0)), axis=-1)
+    parameters = over.parameters + z @ over.parameter_reach.T
+    true = error_map(aircraft, nominal, BEATS, RELATIVE, error, increment, parameters)
+    apart = np.abs(true - found(z))
+    assert np.all(apart <= found.remainder[:, None] + 1e-12)
+    assert np.any(apart > found.remainder[:, None] / 50.0)
+
+
 @pytest.mark.parametrize("half", [0, 1])
 def test_shares_cover_what_a_half_leaves_out(half):
     """Another route: the true map less the half's own polynomial, at extremes of the mass and inside."""
