@@ -70,15 +70,24 @@ def test_limits_hold_where_the_law_sees_them(limits, measurement_error):
     plane, nominal = aircraft(), table2(BEATS)
     settings = SynthesisSettings(limits=limits, measurement_error=measurement_error)
     result = synthesise(plane, nominal, BOX, settings)
-    lower, upper = plane.virtual_limits(nominal.states[:-1], nominal.controls)
-    reach = (1 + measurement_error) * result.law.coordinates.box(nominal.states[:-1], HALF_WIDTHS)
-    most = np.einsum("tij,tj->ti", np.abs(result.law.gains), reach)
-    allowed = np.minimum(-lower, upper)
+    chart = result.law.coordinates
+    seen = chart.box(nominal.states[:-1], (1 + measurement_error) * HALF_WIDTHS)
+    corners = np.array(list(itertools.product((-1, 1), repeat=8))) * seen[:, None]
+    scale = 2.0 if limits == "ellipsoid" else 1.0
+    states = chart.retract(nominal.states[:-1, None], scale * corners)
+    lower, upper = plane.virtual_limits(states, np.broadcast_to(nominal.controls[:, None], (*states.shape[:2], 4)))
+    allowed = np.minimum(-lower, upper).min(1)
+    most = np.einsum("tij,tj->ti", np.abs(result.law.gains), seen)
     assert (most <= allowed * (1 + 1e-12)).all()
+    push = np.einsum("tij,tcj->tci", result.law.gains, corners)
+    states = chart.retract(nominal.states[:-1, None], corners)
+    lower, upper = plane.virtual_limits(states, np.broadcast_to(nominal.controls[:, None], push.shape))
+    assert (push >= lower - 1e-9 * np.abs(lower)).all()
+    assert (push <= upper + 1e-9 * np.abs(upper)).all()
     if limits == "box":
         assert (most[:, 1] > 0.99 * allowed[:, 1]).all()
     else:
-        over_the_ellipsoid = np.sqrt(4 * np.einsum("tij,tj->ti", result.law.gains**2, reach**2))
+        over_the_ellipsoid = np.sqrt(4 * np.einsum("tij,tj->ti", result.law.gains**2, seen**2))
         assert (over_the_ellipsoid <= allowed * (1 + 1e-12)).all()
         assert (over_the_ellipsoid[:, 1] > 0.99 * allowed[:, 1]).all()
 

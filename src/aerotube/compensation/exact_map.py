@@ -7,17 +7,19 @@ In whitened errors z (the initial ellipsoid is the unit ball) the error at the e
 
 with :math:`\hat r = E_1^{1/2} r`, :math:`GG^T \succeq B_\sigma^T E_1 B_\sigma` (equal where B does not depend on
 the parameters; effort may be added), :math:`\tilde K = G^T K` and :math:`O_\sigma = E_1^{1/2} B_\sigma G^{-T}`,
-whose columns are then orthonormal. The last term is bounded by a matrix S with
+whose columns are orthonormal where no effort is added. The last term is bounded by a matrix S with
 :math:`\begin{bmatrix} S & \tilde K^T \\ \tilde K & I \end{bmatrix} \succeq 0`, exact at an optimum. Then
 
 * worst case: minimise :math:`\rho_1` such that :math:`\rho_1 - z^T S z - \hat r^T\hat r - 2\hat r^T O\tilde K z`
-  is a sum of squares on the sphere, for every extreme :math:`\sigma`;
+  is a sum of squares on the sphere, for every extreme :math:`\sigma` (effort included);
 * mean square: minimise :math:`\mathrm{tr}(N M) + \mathrm{tr}(S (M + V))` such that
   :math:`z^T N z - \hat r^T\hat r - 2\hat r^T O\tilde K z` is one, with :math:`M` the second moments of the errors
-  to be expected and :math:`V` the covariance of the noise on their measurement. The size is at most
-  :math:`\lambda_{\max}(N+S)`.
+  to be expected and :math:`V` the covariance of the noise on their measurement. The quadratic form N majorises the
+  size on the boundary of the set; for a linear map without offset it is exact and the objective is the mean square,
+  otherwise the objective stands in for it. The size is at most :math:`\lambda_{\max}(N+S)`.
 
-Only values of the map at the program's nodes enter.
+The map without compensation enters by its values at the program's nodes; the control, linearly, by its derivative
+at zero error. What the law then does is measured on the sampled closed loop.
 """
 
 from __future__ import annotations
@@ -109,12 +111,12 @@ class BeatData:
         ``x = T z``.
     shape : ndarray (b, n, n)
         The metric ``E1``.
-    half_widths : ndarray (b, n)
-        The disturbance box.
+    seen : ndarray (b, n)
+        Half-widths of the box of errors as the law sees them: the disturbance box and its measurement error.
+    growth : ndarray (b,)
+        By how much the ellipsoid of errors grows when they are measured, a factor.
     limit : ndarray (b, m)
         How far each virtual control may move either way.
-    measurement_error : float
-        Largest measurement error as a fraction of the box.
     expected : ndarray (b, n, n)
         Mean of ``z z'``: which errors are to be expected (mean square only).
     noise : ndarray (b, n, n)
@@ -127,9 +129,9 @@ class BeatData:
     input_map: Array
     whitening: Array
     shape: Array
-    half_widths: Array
+    seen: Array
+    growth: Array
     limit: Array
-    measurement_error: float
     expected: Array
     noise: Array
     control_weight: Array
@@ -321,7 +323,7 @@ def _effort(variables: int, S: sos.Variable, K: sos.Variable) -> tuple[Array, Ar
 def _limit_data(
     structure_: sos.Structure, data: BeatData, scaling: Scaling, limits: Limits
 ) -> dict[str, tuple[Array, ...]]:
-    """Limits of each control, where the law sees them: on the error plus its measurement error."""
+    """Limits of each control, where the law sees them: on the error with its measurement error."""
     beats, m, _ = scaling.gain.shape
     n = data.whitening.shape[-1]
     K = structure_.variable("K")
@@ -329,7 +331,7 @@ def _limit_data(
     out: dict[str, tuple[Array, ...]] = {}
     if limits == "box":
         signs = np.array([(1.0, *s) for s in itertools.product((1.0, -1.0), repeat=n - 1)])
-        vertices = signs * ((1.0 + data.measurement_error) * data.half_widths)[:, None, :]
+        vertices = signs * data.seen[:, None, :]
         points = np.einsum("bij,bvj->bvi", np.linalg.inv(data.whitening), vertices)
         points = np.concatenate([points, -points], axis=1)
         for i in range(m):
@@ -337,10 +339,9 @@ def _limit_data(
             rows[..., K.slice] = np.einsum("ba,bvj->bvaj", relative[:, i], points).reshape(beats, -1, m * n)
             out[f"limit/{i}"] = (rows, np.ones(2 * len(signs)))
         return out
-    reach = 1.0 + data.measurement_error
     for i in range(m):
         rows = np.zeros((beats, n, structure_.size))
         for j in range(n):
-            rows[:, j, K.index[:, j]] = reach * relative[:, i]
+            rows[:, j, K.index[:, j]] = data.growth[:, None] * relative[:, i]
         out[f"limit/{i}"] = (rows, np.zeros(n), np.zeros(structure_.size), np.ones(()))
     return out

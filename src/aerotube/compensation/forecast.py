@@ -13,11 +13,13 @@ what an error left at its end will cost. Both follow from the linearised loop. W
    P_t &= Q_t + F_t^T P_{t+1} F_t + K_t^T R K_t, \\
    K_t &= -(R + B_t^T P_{t+1} B_t)^{-1} B_t^T P_{t+1} A_t M_t (M_t + V_t)^{-1} .
 
-The last line is the best gain for given M and P: the regulator's gain times the best linear guess of the error
-from its measurement. Forward and backward passes are repeated a few times, starting from the regulator; the fixed
-point is a stationary point of the expected cost (static output feedback, W. S. Levine and M. Athans, *IEEE Trans.
-Automatic Control* 15 (1970) 44-48, in discrete time over a finite horizon). Only M and P are handed on; the laws
-themselves come from the programs on the nonlinear map, which know the limits and the worst case.
+(and :math:`c_t` adds to the first line through the moments of :math:`(x, \sigma)`). The last line is the
+regulator's gain times the best linear guess of the error from its measurement: the best gain for given M and P where
+parameters and the other half leave the error alone. Forward and backward passes are repeated a few times, starting
+from the regulator; without parameters and coupling, the fixed point is a stationary point of the expected cost (static
+output feedback, W. S. Levine and M. Athans, *IEEE Trans. Automatic Control* 15 (1970) 44-48, in discrete time over a
+finite horizon). Only M and P are handed on; the laws themselves come from the programs on the nonlinear map, which
+know the limits and the worst case.
 """
 
 from __future__ import annotations

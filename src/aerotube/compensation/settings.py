@@ -44,8 +44,8 @@ class SynthesisSettings:
     algorithm : {"decoupled", "coupled"}
         The paper's Algorithm 2 (two halves of four states) or Algorithm 1 (eight states).
     size : {"mean-square", "worst-case"}
-        What of the terminal ellipsoid is made small: a bound on the mean square of the error, or the least
-        ``rho`` that holds the worst error.
+        What is made small: the mean square of the errors to be expected at the end of the beat (by a quadratic
+        majorant, see :mod:`aerotube.compensation.exact_map`), or the least ``rho`` that holds the worst error.
     shape : {"cost-to-go", "riccati"}
         The metric in which the error at the end of a beat is measured, see :mod:`aerotube.tube.shapes`.
     noise_weight : float
@@ -55,9 +55,11 @@ class SynthesisSettings:
         On which set the law must keep the controls within their limits: the disturbance box, or the whole
         ellipsoid around it.
     measurement_error : float
-        Largest measurement error, as a fraction of the disturbance set, for which the limits must hold too.
+        Largest measurement error, as a fraction of the disturbance set, for which the limits must hold too. (For
+        the ellipsoid, to first order in the attitude.)
     control_weight : float
-        Weight of control effort in the shape: ``R = control_weight * diag(1 / half range of control^2)``.
+        Weight of control effort, in the forecast and in what is made small: ``R = control_weight * diag(1 / half
+        range of control^2)``.
     least_expected : float
         Floor of the errors to be expected, as a fraction of the mean square over the initial ellipsoid's
         boundary: the law is asked to do something sensible even in directions where no error is expected.

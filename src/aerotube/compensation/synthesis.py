@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -73,7 +74,8 @@ class Compensation:
     messages : list of str
         One sentence for each failure.
     bound : ndarray (T, parts)
-        The optimal value of each program: a bound on the size asked for.
+        The optimal value of each program, as the solver reports it: the majorant that was minimised, effort
+        included. The certified sizes are those of the tubes.
     solve_seconds : ndarray (T, parts)
         Time in the solver, of one part of one beat.
     settings : SynthesisSettings
@@ -279,7 +281,10 @@ def _synthesise_part(
     structure = exact_map.structure(n, m, len(vertices), settings.degree, settings.size, settings.limits)
     nodes = structure.nodes("tube/0")
     effort = effort_weights(aircraft, nominal, settings.control_weight)
-    lower, upper = aircraft.virtual_limits(nominal.states[:-1], nominal.controls)
+    seen = coordinates.box(nominal.states[:-1], (1.0 + settings.measurement_error) * disturbance.half_widths)
+    growth = (seen[:, part.errors] / widths).max(-1)
+    reach = seen * (np.sqrt(n) if settings.limits == "ellipsoid" else 1.0)
+    lower, upper = _available(aircraft, nominal, coordinates, reach)
     limit = np.minimum(-lower, upper)[:, part.controls]
     span = (upper - lower)[:, part.controls]
     usable = limit > 1e-6 * span
@@ -291,9 +296,9 @@ def _synthesise_part(
         input_map=input_map,
         whitening=whitening,
         shape=_metric(nominal, settings, coordinates, linear, expected, effort, part),
-        half_widths=widths,
+        seen=seen[:, part.errors],
+        growth=growth,
         limit=np.where(usable, limit, span),
-        measurement_error=settings.measurement_error,
         expected=_whitened(expected.moment[:-1], part, whitening, settings.least_expected),
         noise=_whitened(expected.noise, part, whitening, 0.0),
         control_weight=effort[:, part.controls][:, :, part.controls],
@@ -322,6 +327,22 @@ def _synthesise_part(
         bound=np.where(feasible, solution.objective * scaling.size, np.nan),
         seconds=solution.seconds,
     )
+
+
+def _available(
+    aircraft: Aircraft, nominal: Nominal, coordinates: ErrorCoordinates, reach: Array
+) -> tuple[Array, Array]:
+    """Least increments of the virtual controls that are available at the nominal and the corners of a box around it.
+
+    Returns
+    -------
+    lower, upper : ndarray (T, 4)
+    """
+    corners = np.array([*itertools.product((-1.0, 1.0), repeat=8), (0.0,) * 8])
+    states = coordinates.retract(nominal.states[:-1, None], corners * reach[:, None])
+    controls = np.broadcast_to(nominal.controls[:, None], (*states.shape[:2], 4))
+    lower, upper = aircraft.virtual_limits(states, controls)
+    return lower.max(1), upper.min(1)
 
 
 def _whitened(moment: Array, part: Part, whitening: Array, least: float) -> Array:
@@ -363,11 +384,10 @@ def _sample(
 
 def _into_limits(gains: Array, data: exact_map.BeatData, limits: str) -> Array:
     """Factors, at most one, that take out what the solver's tolerance left beyond the limits: ndarray (b, m)."""
-    reach = (1.0 + data.measurement_error) * data.half_widths[:, None, :]
     if limits == "box":
-        most = np.sum(np.abs(gains) * reach, axis=-1)
+        most = np.sum(np.abs(gains) * data.seen[:, None, :], axis=-1)
     else:
-        most = (1.0 + data.measurement_error) * np.linalg.norm(gains @ data.whitening, axis=-1)
+        most = data.growth[:, None] * np.linalg.norm(gains @ data.whitening, axis=-1)
     return np.asarray(data.limit / np.maximum(most, data.limit))
 
 

@@ -14,7 +14,7 @@ body axes.
               x_\phi = \frac{2\, g \cdot e_\phi}{1 + g \cdot \bar g},
 
     with :math:`e_\phi = (0, \cos\bar\phi, -\sin\bar\phi)` and :math:`e_\theta = \bar g \times e_\phi`. Regular
-    at any pitch, and up to a tilt of 180 degrees. Near wings level it is ``(dtheta, cos(theta) dphi)``.
+    at any pitch, and up to a tilt of 180 degrees. To first order it is ``(dtheta, cos(theta) dphi)``.
 
 ``euler``
     The paper's differences of pitch and roll angle, wrapped; singular at 90 degrees of pitch.

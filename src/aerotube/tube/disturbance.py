@@ -52,7 +52,8 @@ class DisturbanceBox:
     def parameter_vertices(self, aircraft: Aircraft) -> Array:
         """Extreme values of the aircraft's uncertain parameters.
 
-        The map is affine, or nearly so, in each parameter, so that the worst case lies at a vertex.
+        Where the map is affine in the parameters, a convex measure of its result is largest at one of these; where
+        it is nearly so, they are where the worst case is taken.
 
         Parameters
         ----------
