@@ -59,6 +59,12 @@ def _square(x: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def _put(terms: Array, k: int, x: Any) -> None:
+    terms[k, 0] = x[0]
+    terms[k, 1] = x[1]
+
+
+@njit(cache=True, nogil=True)
 def _wave(low: float, high: float, at_low: float, at_high: float, peak: float) -> Any:
     """Range of a wave whose maxima lie at `peak` and whole turns from it; ends near an extreme count as past it."""
     least, most = _library(min(at_low, at_high), max(at_low, at_high))
@@ -80,7 +86,7 @@ def _powers(x: Any, exponent: float, terms: Array) -> None:
     for k in range(1, terms.shape[0]):
         factor = _out(exponent - (k - 1.0), exponent - (k - 1.0))
         scaled = _times(_times((terms[k - 1, 0], terms[k - 1, 1]), factor), _ratio(1.0, float(k)))
-        terms[k] = _times(scaled, inverse)
+        _put(terms, k, _times(scaled, inverse))
 
 
 @njit(cache=True, nogil=True)
@@ -96,7 +102,7 @@ def _arcs(x: Any, sign: float, terms: Array) -> None:
     low, high = _out(np.sqrt(scale[0]), np.sqrt(scale[1]))
     slope = scale if sign > 0.0 else (max(low, 0.0), high)
     for k in range(terms.shape[0] - 1):
-        terms[k + 1] = _times(slope, _ratio(1.0, k + 1.0))
+        _put(terms, k + 1, _times(slope, _ratio(1.0, k + 1.0)))
         if sign > 0.0:
             rest = _plus(_times((-2.0 * x[1], -2.0 * x[0]), slope), (-before[1], -before[0]))
             slope, before = _times(rest, scale), slope
@@ -116,25 +122,25 @@ def enclose(kind: int, exponent: float, low: float, high: float, terms: Array) -
         if low <= 0.0 <= high:
             return False
         inverse = _out(1.0 / high, 1.0 / low)
-        terms[0] = inverse
+        _put(terms, 0, inverse)
         for k in range(1, count):
-            terms[k] = _times((terms[k - 1, 0], terms[k - 1, 1]), (-inverse[1], -inverse[0]))
+            _put(terms, k, _times((terms[k - 1, 0], terms[k - 1, 1]), (-inverse[1], -inverse[0])))
     elif kind in (SQRT, POWER, LOG):
         if low <= 0.0:
             return False
         if kind == SQRT:
-            terms[0] = _out(np.sqrt(low), np.sqrt(high))
+            _put(terms, 0, _out(np.sqrt(low), np.sqrt(high)))
             _powers(x, 0.5, terms)
         elif kind == POWER:
             a, b = low**exponent, high**exponent
-            terms[0] = _library(min(a, b), max(a, b))
+            _put(terms, 0, _library(min(a, b), max(a, b)))
             _powers(x, exponent, terms)
         else:
-            terms[0] = _library(np.log(low), np.log(high))
+            _put(terms, 0, _library(np.log(low), np.log(high)))
             inverse = _out(1.0 / high, 1.0 / low)
             power = inverse
             for k in range(1, count):
-                terms[k] = _times(power, _ratio(1.0, float(k)))
+                _put(terms, k, _times(power, _ratio(1.0, float(k))))
                 power = _times(power, (-inverse[1], -inverse[0]))
     elif kind in (EXP, SIN, COS):
         if kind == EXP:
@@ -150,14 +156,14 @@ def enclose(kind: int, exponent: float, low: float, high: float, terms: Array) -
             value = first if k % 2 == 0 else second
             if kind != EXP and k % 4 >= 2:
                 value = (-value[1], -value[0])
-            terms[k] = _times(value, _ratio(1.0, factorial))
+            _put(terms, k, _times(value, _ratio(1.0, factorial)))
     elif kind == ARCTAN:
-        terms[0] = _library(np.arctan(low), np.arctan(high))
+        _put(terms, 0, _library(np.arctan(low), np.arctan(high)))
         _arcs(x, 1.0, terms)
     else:
         if not (low > -1.0 and high < 1.0 and _square(x)[1] < 1.0):
             return False
-        terms[0] = _library(np.arcsin(low), np.arcsin(high))
+        _put(terms, 0, _library(np.arcsin(low), np.arcsin(high)))
         _arcs(x, -1.0, terms)
     return True
 
