@@ -10,18 +10,17 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
 from aerotube import scenario, sos
-from aerotube.compensation import exact_map
-from aerotube.compensation.forecast import forecast
 from aerotube.compensation.settings import COUPLED, DECOUPLED, Part
-from aerotube.compensation.synthesis import effort_weights
-from aerotube.dynamics import ErrorCoordinates, error_map, linearise
+from aerotube.compensation.synthesis import effort_weights, synthesise
+from aerotube.dynamics import ErrorCoordinates, linearise
 from aerotube.dynamics.error_map import taylor_map
 from aerotube.preparation import Prepared, prepare
 from aerotube.tube import ellipsoid, parameter_ranges, riccati, tracking_weights
@@ -60,71 +59,40 @@ def manoeuvre(interpolation: str) -> Prepared:
     return prepare(scenario.load(overrides=dict.fromkeys(names, interpolation)))
 
 
-def map_data(part: Part, degree: int, beats: Sequence[int]) -> tuple[sos.Structure, sos.Data]:
-    """The exact-map program of a part as the main job sets it up (noise-free setting), for some beats."""
+class _Recorded(Exception):
+    """Carries a program out of the synthesis, at the moment it would be solved."""
+
+
+def map_data(part: Part, degree: int) -> tuple[sos.Structure, sos.Data]:
+    """The exact-map program of a part for all beats, as the main job hands it to the solver (noise-free setting)."""
     made = manoeuvre("linear")
-    aircraft, nominal, settings = made.model, made.nominal, made.settings["noise_free"]
-    coordinates, chosen = ErrorCoordinates(settings.attitude), np.asarray(beats)
-    widths = coordinates.box(nominal.states[:-1], made.disturbance.half_widths)
-    linear = linearise(aircraft, nominal, coordinates)
-    ends = np.sort(parameter_ranges(aircraft, made.disturbance.relative).T, axis=0)
-    moved = error_map(
-        aircraft,
-        nominal,
-        np.arange(nominal.beats),
-        coordinates,
-        np.zeros((nominal.beats, 1, 8)),
-        parameters=np.broadcast_to(ends, (nominal.beats, *ends.shape)),
+    settings = replace(
+        made.settings["noise_free"], degree=degree, algorithm="coupled" if part is WHOLE else "decoupled"
     )
-    effort = effort_weights(aircraft, nominal, settings.control_weight)
-    expected = forecast(
-        linear,
-        tracking_weights(nominal.states, coordinates),
-        effort,
-        widths,
-        0.5 * (moved[:, 1:] - moved[:, :1]),
-        settings.noise_weight,
-        (part,) if part is WHOLE else DECOUPLED,
-    )
-    own, controls = list(part.errors), list(part.controls)
-    structure = exact_map.structure(len(own), len(controls), 2, degree, settings.size, settings.limits)
-    nodes = structure.nodes("tube/0")
-    whitening = ellipsoid.whitening(*ellipsoid.least_volume_around_box(widths[chosen][:, own]))
-    error = np.zeros((len(chosen), 1, len(nodes), 8))
-    error[..., own] = np.einsum("bij,uj->bui", whitening, nodes)[:, None]
-    end = error_map(
-        aircraft,
-        nominal,
-        chosen,
-        coordinates,
-        error,
-        parameters=np.broadcast_to(ends[:, None, :], (len(chosen), 2, 1, ends.shape[1])),
-    )
-    lower, upper = aircraft.virtual_limits(nominal.states[:-1], nominal.controls)
-    inverse = np.linalg.inv(whitening)
-    moment = inverse @ expected.moment[chosen][:, own][:, :, own] @ np.swapaxes(inverse, 1, 2)
-    data = exact_map.BeatData(
-        map_values=np.ascontiguousarray(end[..., own]),
-        input_map=np.stack(
-            [linearise(aircraft, nominal, coordinates, vertex).B[chosen][:, own][..., controls] for vertex in ends], 1
-        ),
-        whitening=whitening,
-        shape=expected.cost[1:][chosen][:, own][:, :, own],
-        half_widths=widths[chosen][:, own],
-        limit=np.minimum(-lower, upper)[chosen][:, controls],
-        measurement_error=settings.measurement_error,
-        expected=moment + settings.least_expected / len(own) * np.eye(len(own)),
-        noise=np.zeros((len(chosen), len(own), len(own))),
-        control_weight=effort[chosen][:, controls][:, :, controls],
-    )
-    scaling = exact_map.scale(data)
-    return structure, exact_map.program_data(structure, data, scaling, settings.size, settings.limits)
+    ahead = settings.parts.index(part)
+    solve = sos.solve
+
+    def record(structure: sos.Structure, data: sos.Data, **options: Any) -> sos.Solution:
+        nonlocal ahead
+        if any(variable.name == "K" for variable in structure.variables):
+            if ahead == 0:
+                raise _Recorded(structure, data)
+            ahead -= 1
+        return solve(structure, data, **options)
+
+    # The main job's own program, whatever it comes to be, and not a copy of its making.
+    with mock.patch.object(sos, "solve", record):
+        try:
+            synthesise(made.model, made.nominal, made.disturbance, settings)
+        except _Recorded as found:
+            return found.args[0], found.args[1]
+    raise RuntimeError(f"the synthesis of {part.name} solved no program for a gain K; see benchmarks/programs.py.")
 
 
 def map_programs(part: Part, degree: int, beats: Sequence[int]) -> list[Program]:
     """Exact-map programs in monomials."""
-    structure, data = map_data(part, degree, beats)
-    return [from_data(f"beat {beat}", structure, data, i) for i, beat in enumerate(beats)]
+    structure, data = map_data(part, degree)
+    return [from_data(f"beat {beat}", structure, data, beat) for beat in beats]
 
 
 def paper_programs(part: Part, law_degree: int, beats: Sequence[int]) -> list[Program]:
@@ -253,31 +221,51 @@ class _Collector:
 
 
 def synthetic_map(states: int, degree: int, seed: int = 1) -> Program:
-    """Exact-map program of a made-up system of any number of states, half as many controls, two extremes."""
+    """Exact-map program of a made-up system of any number of states, half as many controls, two extremes.
+
+    Minimise ``tr N / n + tr S / n`` such that ``z'Nz - r'r - 2 r'B K z`` is SOS on the sphere for both extremes,
+    ``[[S, K'], [K, I]] >= 0``, and the rows of K are at most 0.3 long. B has orthonormal columns.
+    """
     generator = np.random.default_rng(seed)
     controls = max(1, states // 2)
-    structure = exact_map.structure(states, controls, 2, degree, "mean-square", "ellipsoid")
-    nodes = structure.nodes("tube/0")
+    program = sos.Program()
+    N, S = program.symmetric("N", states), program.symmetric("S", states)
+    K = program.matrix("K", (controls, states))
+    for k in range(2):
+        program.sos(f"tube/{k}", sos.Sphere(states), degree=degree)
+    program.lmi("effort", states + controls)
+    for i in range(controls):
+        program.norm(f"limit/{i}", states)
+    structure = program.compile()
+    z, m = structure.nodes("tube/0"), structure.size
     rotation = np.linalg.qr(generator.standard_normal((states, states)))[0]
-    change = 0.05 * generator.standard_normal((2, states, states)) / np.sqrt(states)
     bend = 0.05 * generator.standard_normal((states, states, states)) / states
-    values = np.einsum("kij,uj->kui", 0.95 * rotation + change, nodes) + np.einsum("ijl,uj,ul->ui", bend, nodes, nodes)
-    identity = np.eye(states)[None]
-    inputs = generator.standard_normal((1, 1, states, controls)) / np.sqrt(states)
-    data = exact_map.BeatData(
-        map_values=values[None],
-        input_map=np.repeat(inputs, 2, axis=1),
-        whitening=identity,
-        shape=identity,
-        half_widths=np.full((1, states), states**-0.5),
-        limit=np.full((1, controls), 0.3),
-        measurement_error=0.0,
-        expected=identity / states,
-        noise=0.0 * identity,
-        control_weight=1e-3 * np.eye(controls)[None],
-    )
-    problem = exact_map.program_data(structure, data, exact_map.scale(data), "mean-square", "ellipsoid")
-    return from_data(f"{states} states, degree {degree}", structure, problem, 0)
+    B = np.linalg.qr(generator.standard_normal((states, controls)))[0]
+    rows, columns = np.indices((states, states))
+    constraints: dict[str, tuple[Array, ...]] = {}
+    for k in range(2):
+        change = 0.05 * generator.standard_normal((states, states)) / np.sqrt(states)
+        r = z @ (0.95 * rotation + change).T + np.einsum("ijl,uj,ul->ui", bend, z, z)
+        linear = np.zeros((len(z), m))
+        for place, value in zip(N.index.ravel(), (z[:, :, None] * z[:, None, :]).reshape(len(z), -1).T, strict=True):
+            linear[:, place] += value
+        linear[:, K.slice] = (-2.0 * (r @ B)[:, :, None] * z[:, None, :]).reshape(len(z), -1)
+        constraints[f"tube/{k}"] = (-np.sum(r * r, axis=1), linear)
+    corner = np.zeros((states + controls, states + controls))
+    corner[states:, states:] = np.eye(controls)
+    forms = np.zeros((m, *corner.shape))
+    forms[S.index, rows, columns] = 1.0
+    rows, columns = np.indices((controls, states))
+    forms[K.index, states + rows, columns] = forms[K.index, columns, states + rows] = 1.0
+    constraints["effort"] = (corner, forms)
+    for i in range(controls):
+        pick = np.zeros((states, m))
+        pick[np.arange(states), K.index[i]] = 1.0
+        constraints[f"limit/{i}"] = (pick, np.zeros(states), np.zeros(m), np.asarray(0.3))
+    objective = np.zeros(m)
+    objective[np.diagonal(N.index)] = objective[np.diagonal(S.index)] = 1.0 / states
+    data = structure.data(objective=objective, constraints=constraints)
+    return from_data(f"{states} states, degree {degree}", structure, data, 0)
 
 
 TABLE: dict[str, Entry] = {

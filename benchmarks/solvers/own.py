@@ -66,10 +66,10 @@ def prepare_batch(programs: Sequence[Program]) -> Prepared:
     return structure, structure.data(objective=np.stack([p.objective for p in programs]), constraints=arrays)
 
 
-def solve(prepared: Prepared, backend: str = "aerotube") -> dict[str, Any]:
-    """Solve with default settings; seconds, objective, certified bound and status."""
+def solve(prepared: Prepared, **options: Any) -> dict[str, Any]:
+    """Solve, with default settings unless options are given; seconds, objective, certified bound and status."""
     start = time.perf_counter()
-    solution = sos.solve(*prepared, backend=backend)
+    solution = sos.solve(*prepared, **options)
     seconds = time.perf_counter() - start
     bound = float(solution.certificate().bound)
     return {
