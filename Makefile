@@ -4,13 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: run test lint types check format setup bench clean
+.PHONY: run test lint types check format setup bench soak clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make run    set up everything and fly the built-in scenario (results in out/)"
 	@echo "make test   set up everything, check style and types, run the tests"
 	@echo "make bench  time the solver beside its peers (bench.json); BENCH='--help' tells the options"
+	@echo "make soak   ten thousand random and nasty programs (an hour)"
 	@echo "make format rewrite the sources in the house style"
 	@echo "make clean  remove the environment and everything that was built"
 
@@ -49,6 +50,9 @@ $(VENV)/.bench: $(STAMP)
 		|| echo "$$peer does not install here"; \
 	done
 	@touch $@
+
+soak: $(STAMP)
+	@$(BIN)/python -m tests.sos.soak
 
 bench: $(VENV)/.bench
 	@$(BIN)/python -m benchmarks $(BENCH)

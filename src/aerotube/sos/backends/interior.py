@@ -106,6 +106,9 @@ def solve(
 
     # BLAS threads would fight with one another and with ours; one solve keeps to one core.
     with _single_threaded_blas:
+        if count and not run.finish.nopython_signatures:
+            # Compiling, or loading what was compiled, is no part of a solve's time, nor of its deadline.
+            _solve_one(structure, lay, flat[0], out[0], tolerance, np.inf, 1)
         if workers == 1 or count == 1:
             for k in range(count):
                 work(k)
