@@ -2,7 +2,8 @@
 
 from aerotube.compensation.law import LinearLaw
 from aerotube.compensation.settings import COUPLED, DECOUPLED, Part, SynthesisSettings
-from aerotube.compensation.synthesis import Compensation, Tubes, synthesise
+from aerotube.compensation.synthesis import Compensation, synthesise
+from aerotube.compensation.tubes import Tubes
 
 __all__ = [
     "COUPLED",

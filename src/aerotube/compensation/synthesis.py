@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -16,49 +16,13 @@ from aerotube.compensation import exact_map
 from aerotube.compensation.forecast import Forecast, forecast
 from aerotube.compensation.law import LinearLaw
 from aerotube.compensation.settings import Part, SynthesisSettings
+from aerotube.compensation.tubes import Tubes, measure
 from aerotube.dynamics import ErrorCoordinates, Linearisation, error_map, linearise
 from aerotube.nominal import Nominal
 from aerotube.tube import DisturbanceBox, ellipsoid, parameter_ranges, riccati, tracking_weights
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Tubes:
-    """Trajectory tubes of every beat, part by part, in the law's error coordinates.
-
-    Attributes
-    ----------
-    parts : tuple of Part
-    initial_shape, initial_rho : ndarray (T, parts, n, n), (T, parts)
-        Initial ellipsoids: of least volume around the disturbance box.
-    metric : ndarray (T, parts, n, n)
-        The metric E1 the synthesis measured size in.
-    size, size_nominal : ndarray (T, parts)
-        Least ``rho`` in that metric, with the law and without it, certified.
-    terminal_shape, terminal_rho : ndarray (T, parts, n, n), (T, parts)
-        Terminal ellipsoids of least volume, with the law, certified; ``rho`` is one but for the certificate's
-        margin.
-    nominal_shape, nominal_rho : ndarray (T, parts, n, n), (T, parts)
-        The same without compensation.
-    certificate : str
-        What stands behind these numbers: ``"polynomial only"`` says that they are checked, and hold for the
-        polynomials through the values of the closed loop at the nodes, on the boundary of the initial ellipsoid
-        and at the extreme parameters; not, as yet, for what lies between.
-    """
-
-    parts: tuple[Part, ...]
-    initial_shape: Array
-    initial_rho: Array
-    metric: Array
-    size: Array
-    size_nominal: Array
-    terminal_shape: Array
-    terminal_rho: Array
-    nominal_shape: Array
-    nominal_rho: Array
-    certificate: str
 
 
 @dataclass(frozen=True)
@@ -153,11 +117,10 @@ def synthesise(
     def gather(name: str) -> Array:
         return np.stack([getattr(result, name) for result in results], axis=1)
 
-    names = ["initial_shape", "initial_rho", "metric", "size", "size_nominal"]
-    names += ["terminal_shape", "terminal_rho", "nominal_shape", "nominal_rho"]
+    tubes = {name: np.stack([result.tubes[name] for result in results], axis=1) for name in results[0].tubes}
     return Compensation(
         law=LinearLaw(gains, coordinates),
-        tubes=Tubes(settings.parts, **{name: gather(name) for name in names}, certificate="polynomial only"),
+        tubes=Tubes(settings.parts, **tubes, certificate="polynomial only"),
         feasible=gather("feasible").astype(bool),
         messages=[message for result in results for message in result.messages],
         bound=gather("bound"),
@@ -171,20 +134,12 @@ def synthesise(
 @dataclass(frozen=True)
 class _PartResult:
     gains: Array
-    initial_shape: Array
-    initial_rho: Array
-    metric: Array
-    size: Array
-    size_nominal: Array
-    terminal_shape: Array
-    terminal_rho: Array
-    nominal_shape: Array
-    nominal_rho: Array
+    tubes: dict[str, Array]
+    evidence: sos.Certificate
     feasible: NDArray[np.bool_]
     messages: list[str]
     bound: Array
     seconds: Array
-    evidence: sos.Certificate
 
 
 def _offset(progress: Progress, start: int, total: int) -> Progress:
@@ -317,11 +272,11 @@ def _synthesise_part(
     ]
     if progress is not None:
         progress(beats, beats)
-    result = _measure(data, gains, sample(gains), settings, workers)
-    return replace(
-        result,
-        initial_shape=initial_shape,
-        initial_rho=initial_rho,
+    tubes, evidence = measure(sample(gains), data.map_values, data.shape, settings, workers)
+    return _PartResult(
+        gains=gains,
+        tubes={"initial_shape": initial_shape, "initial_rho": initial_rho} | tubes,
+        evidence=evidence,
         feasible=feasible,
         messages=messages,
         bound=np.where(feasible, solution.objective * scaling.size, np.nan),
@@ -389,64 +344,3 @@ def _into_limits(gains: Array, data: exact_map.BeatData, limits: str) -> Array:
     else:
         most = data.growth[:, None] * np.linalg.norm(gains @ data.whitening, axis=-1)
     return np.asarray(data.limit / np.maximum(most, data.limit))
-
-
-def _deficit(solution: sos.Solution) -> Array:
-    """What must be added to a tube's ``rho`` for it to hold whatever the solver said: ndarray (b,).
-
-    The certificate bounds from below what the solver claims to be positive; NaN where there is no answer at all.
-    """
-    margins = solution.certificate().margins
-    deficit = -np.min([margin for name, margin in margins.items() if name.startswith("tube/")], axis=0)
-    return np.asarray(np.where(np.isfinite(solution.values).all(-1) & np.isfinite(deficit), deficit, np.nan))
-
-
-def _lifted(solution: sos.Solution) -> sos.Certificate:
-    """The certificate of a size program, its ``rho`` raised by as much as makes it hold (and a percent more)."""
-    lift = np.nan_to_num(1.01 * np.maximum(_deficit(solution), 0.0)) + 1e-14
-    values = solution.values + lift[:, None]
-    return replace(solution, values=values, objective=solution.objective + lift).certificate()
-
-
-def _measure(
-    data: exact_map.BeatData, gains: Array, with_law: Array, settings: SynthesisSettings, workers: int
-) -> _PartResult:
-    """Sizes and terminal ellipsoids, with the law and without it, from values of the map at the nodes."""
-    beats, vertices, _, n = with_law.shape
-    structure = exact_map.size_structure(n, vertices, settings.degree)
-
-    def least_rho(end: Array, shape: Array) -> tuple[Array, sos.Certificate]:
-        problem, unit = exact_map.size_data(structure, end, shape)
-        certificate = _lifted(sos.solve(structure, problem, backend=settings.backend, workers=workers))
-        rho = np.where(certificate.holds, certificate.solution["rho"] * unit, np.nan)
-        return np.asarray(rho), certificate
-
-    def least_volume(end: Array) -> tuple[Array, Array]:
-        ellipsoids = exact_map.volume_structure(n, vertices, settings.degree)
-        problem, unit = exact_map.volume_data(ellipsoids, end)
-        solution = sos.solve(ellipsoids, problem, backend="aerotube", workers=workers)
-        shape = np.swapaxes(unit, 1, 2) @ solution["E"] @ unit
-        rho = 1.0 + _deficit(solution)
-        positive = np.linalg.eigvalsh(0.5 * (solution["E"] + np.swapaxes(solution["E"], 1, 2)))[:, 0] > 0
-        return np.where(positive[:, None, None], shape, np.nan), np.where(positive, rho, np.nan)
-
-    closed, opened = least_volume(with_law), least_volume(data.map_values)
-    size, evidence = least_rho(with_law, data.shape)
-    empty = np.zeros(0)
-    return _PartResult(
-        gains=gains,
-        initial_shape=empty,
-        initial_rho=empty,
-        metric=data.shape,
-        size=size,
-        size_nominal=least_rho(data.map_values, data.shape)[0],
-        terminal_shape=closed[0],
-        terminal_rho=closed[1],
-        nominal_shape=opened[0],
-        nominal_rho=opened[1],
-        feasible=np.zeros(beats, dtype=bool),
-        messages=[],
-        bound=empty,
-        seconds=empty,
-        evidence=evidence,
-    )
