@@ -1,4 +1,4 @@
-"""Certificates as files: everything a separate check needs, with every number exact."""
+"""Certificates as files: the program's own numbers and the Gram matrices, every number exact."""
 
 from __future__ import annotations
 
@@ -9,14 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aerotube.sos.certificate import polynomial_of
-from aerotube.sos.domain import Array
-from aerotube.sos.residuals import matrix_value
-
 if TYPE_CHECKING:
     from aerotube.sos.certificate import Certificate
+    from aerotube.sos.program import Constraint
 
-FORMAT, VERSION = "aerotube sum-of-squares certificate", 1
+FORMAT, VERSION = "aerotube sum-of-squares certificate", 2
 
 
 def _exact(array: Any) -> Any:
@@ -30,6 +27,9 @@ def _exact(array: Any) -> Any:
 def save(certificate: Certificate, path: str | Path, position: tuple[int, ...] = ()) -> None:
     """Write one program's certificate.
 
+    Nothing is evaluated here: the file holds the decision and the data as they are, so that what is checked is the
+    program itself and not a rounding of it.
+
     Parameters
     ----------
     certificate : Certificate
@@ -39,29 +39,29 @@ def save(certificate: Certificate, path: str | Path, position: tuple[int, ...] =
     solution = certificate.solution
     data, structure = solution.data, solution.structure
     place = int(np.ravel_multi_index(position, data.batch)) if data.batch else 0
-    _, arrays = data.one(place)
-    d = solution.values[position]
+    objective, arrays = data.one(place)
     items = []
     for c in structure.constraints:
-        a = arrays[c.name]
-        item: dict[str, Any] = {"name": c.name, "kind": c.kind, "margin": _exact(certificate.margins[c.name][position])}
+        item: dict[str, Any] = {
+            "name": c.name,
+            "kind": c.kind,
+            "size": c.size,
+            "margin": _exact(certificate.margins[c.name][position]),
+            "data": {key: _exact(array) for key, array in arrays[c.name].items()},
+        }
         if c.kind == "sos":
-            item |= _sos_item(certificate, c.name, position, a["c"] + a["C"] @ d)
-        elif c.kind in ("lmi", "logdet"):
-            value = matrix_value(a, d)
-            item["matrix"] = _exact(0.5 * (value + value.T))
-        elif c.kind == "norm":
-            item["vector"], item["bound"] = _exact(a["A"] @ d + a["b"]), _exact(a["g"] @ d + a["h"])
-        else:
-            item["slack"] = _exact(a["b"] - a["A"] @ d)
+            item |= _sos_item(certificate, c, position)
+        elif c.kind == "logdet":
+            item["factor"] = _exact(c.factor)
         items.append(item)
     content = {
         "format": FORMAT,
         "version": VERSION,
         "certificate": certificate.kind,
         "structure": structure.digest,
-        "objective": _exact(solution.objective[position]),
-        "variables": {v.name: _exact(v.unpack(d)) for v in structure.variables},
+        "variables": [[v.name, v.kind, list(v.shape)] for v in structure.variables],
+        "decision": _exact(solution.values[position]),
+        "objective": _exact(objective),
         "constraints": items,
     }
     path = Path(path)
@@ -70,18 +70,15 @@ def save(certificate: Certificate, path: str | Path, position: tuple[int, ...] =
     os.replace(aside, path)
 
 
-def _sos_item(certificate: Certificate, name: str, position: tuple[int, ...], values: Array) -> dict[str, Any]:
-    found = certificate.solution.structure.sampling(name)
+def _sos_item(certificate: Certificate, c: Constraint, position: tuple[int, ...]) -> dict[str, Any]:
+    found = certificate.solution.structure.sampling(c.name)
     blocks = []
-    for block, gram in zip(found.blocks, certificate.grams[name], strict=True):
-        weight = None
-        if block.weight is not None:
-            weight = {"exponents": block.weight.exponents.tolist(), "coefficients": _exact(block.weight.coefficients)}
+    for block, gram in zip(found.blocks, certificate.grams[c.name], strict=True):
         own = gram[position]
         blocks.append(
             {
                 "boundary": list(block.boundary),
-                "weight": weight,
+                "weight": None if block.weight is None else c.weights.index(block.weight),
                 "exponents": block.basis.exponents.tolist(),
                 "basis": _exact(block.basis.matrix),
                 "gram": _exact(0.5 * (own + own.T)),
@@ -90,8 +87,8 @@ def _sos_item(certificate: Certificate, name: str, position: tuple[int, ...], va
     return {
         "domain": [[factor.kind, factor.dimension] for factor in found.domain.factors],
         "degree": found.degree,
-        "least": _exact(certificate.least[name][position]),
-        "exponents": found.basis.exponents.tolist(),
-        "polynomial": _exact(polynomial_of(found, values)),
+        "weights": [{"exponents": w.exponents.tolist(), "coefficients": _exact(w.coefficients)} for w in c.weights],
+        "nodes": _exact(found.nodes),
+        "least": _exact(certificate.least[c.name][position]),
         "blocks": blocks,
     }
