@@ -88,6 +88,7 @@ def iterate(lay, st, optimality):  # type: ignore[no-untyped-def]
         primal, dual = longest_steps(lay, st, 1.0 / REACH, dtau, dkappa, FINE if k == CORRECTORS else COARSE)
         if k > 0 and not min(primal, dual) >= 0.9 * min(best_primal, best_dual):
             swap_direction(lay, st, YES)
+            best_primal, best_dual = longest_steps(lay, st, 1.0 / REACH, best_tau, best_kappa, FINE)
             break
         best_primal, best_dual, best_tau, best_kappa = primal, dual, dtau, dkappa
         if k < CORRECTORS:
