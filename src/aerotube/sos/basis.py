@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import lru_cache
 
 import numpy as np
@@ -58,6 +59,38 @@ class Polynomial:
         return self.exponents.shape, self.exponents.tobytes(), self.coefficients.tobytes()
 
 
+def on_domain(polynomial: Polynomial, domain: Domain) -> Polynomial:
+    """Return the same function on a domain, with the last coordinate of every sphere at most to the first power.
+
+    Coefficients that cancel on the spheres are gone, because they are added up exactly and rounded once.
+    """
+    lasts = [
+        (columns, columns.stop - 1)
+        for factor, columns in zip(domain.factors, domain.slices(), strict=True)
+        if factor.kind == "sphere"
+    ]
+    pending = [
+        (tuple(powers), Fraction(value))
+        for powers, value in zip(polynomial.exponents.tolist(), polynomial.coefficients.tolist(), strict=True)
+    ]
+    terms: dict[tuple[int, ...], Fraction] = {}
+    while pending:
+        powers, value = pending.pop()
+        for columns, last in lasts:
+            if powers[last] >= 2:
+                lower = [k - 2 if i == last else k for i, k in enumerate(powers)]
+                pending.append((tuple(lower), value))
+                for j in range(columns.start, last):
+                    pending.append((tuple(k + 2 * (i == j) for i, k in enumerate(lower)), -value))
+                break
+        else:
+            terms[powers] = terms.get(powers, Fraction(0)) + value
+    kept = sorted((powers, float(value)) for powers, value in terms.items() if value)
+    if not kept:
+        return Polynomial(np.zeros((1, domain.dimension), dtype=np.int64), np.zeros(1))
+    return Polynomial(np.array([powers for powers, _ in kept]), np.array([value for _, value in kept]))
+
+
 def monomials(points: ArrayLike, exponents: IntArray) -> Array:
     """Values (..., k) of the monomials `exponents` (k, n) at points (..., n)."""
     points = np.asarray(points, dtype=np.float64)
@@ -104,14 +137,22 @@ class Basis:
         return monomials(points, self.exponents) @ self.matrix.T
 
 
+def too_high(domain: Domain, degree: int) -> str:
+    """One sentence for a degree that double precision cannot represent."""
+    return f"the degree {degree} on {domain} is too high for double precision; lower it, or split the domain."
+
+
 @lru_cache(maxsize=256)
 def orthonormal_basis(domain: Domain, degree: int, weight: tuple[int, ...] = ()) -> Basis:
     """Make the basis of the polynomials of degree <= `degree` by Cholesky factorisation of their exact moments."""
     exponents = domain.exponents(degree)
     gram = domain.moments(exponents[:, None, :] + exponents[None, :, :], weight)
-    matrix = np.linalg.inv(np.linalg.cholesky(gram))
-    # A second pass removes the rounding that the conditioning of the monomials let in.
-    matrix = np.linalg.inv(np.linalg.cholesky(matrix @ gram @ matrix.T)) @ matrix
+    try:
+        matrix = np.linalg.inv(np.linalg.cholesky(gram))
+        # A second pass removes the rounding that the conditioning of the monomials let in.
+        matrix = np.linalg.inv(np.linalg.cholesky(matrix @ gram @ matrix.T)) @ matrix
+    except np.linalg.LinAlgError:
+        raise ValueError(too_high(domain, degree)) from None
     matrix = np.tril(matrix)
     matrix.flags.writeable = exponents.flags.writeable = False
     return Basis(domain, degree, weight, exponents, matrix)
@@ -146,7 +187,7 @@ class Block:
         value = np.ones(points.shape[:-1])
         for factor in self.boundary:
             value = value * self.basis.domain.boundary(factor, points)
-        return value if self.weight is None else value * self.weight(points)
+        return value if self.weight is None else value * on_domain(self.weight, self.basis.domain)(points)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +273,8 @@ def sampling(domain: Domain, degree: int, weights: tuple[Polynomial, ...] = ()) 
     Raises
     ------
     ValueError
-        If the degree is odd or negative, or a weight is of a higher degree, of another dimension, or nowhere positive.
+        If the degree is odd, negative, or too high for double precision, or a weight is of a higher degree, of another
+        dimension, or nowhere positive.
     """
     if degree < 0 or degree % 2:
         raise ValueError(f"the degree of a sum-of-squares constraint must be even and not negative, got {degree}.")
@@ -253,12 +295,16 @@ def sampling(domain: Domain, degree: int, weights: tuple[Polynomial, ...] = ()) 
                 )
             blocks.append(_block(domain, degree, (), weight, nodes))
         sample = domain.sample(max(20000, 40 * len(basis)), seed=1)
-        inside = np.all([weight(sample) > 0.0 for weight in weights], axis=0)
+        inside = np.all([on_domain(weight, domain)(sample) > 0.0 for weight in weights], axis=0)
         if not np.any(inside):
             raise ValueError(f"no point of {domain} was found where all weights are positive; check their signs.")
         # Coefficients of a mean over points of the set, as a functional on values at the nodes.
         interior = basis(sample[inside]).mean(axis=0) @ inverse
-    return Sampling(domain, degree, nodes, basis, inverse, mean, np.asarray(interior), tuple(blocks))
+    found = Sampling(domain, degree, nodes, basis, inverse, mean, np.asarray(interior), tuple(blocks))
+    from aerotube.sos.accuracy import accuracy
+
+    accuracy(found)
+    return found
 
 
 def _block(domain: Domain, degree: int, boundary: tuple[int, ...], weight: Polynomial | None, nodes: Array) -> Block:

@@ -8,7 +8,8 @@ nodes. With Gram matrices Q_k and the polynomial e = f - sum_k g_k p_k'Q_k p_k t
 because the sum K is constant on the domain, and because the orthonormal functions of degree 2d add up in square to at
 most a constant K' (`aerotube.sos.domain`); |e| is the Euclidean norm of e's coefficients. The residual is first folded
 into the Gram matrices by the change of least norm. All terms are widened by bounds of the rounding of their own
-evaluation (N. J. Higham, "Accuracy and Stability of Numerical Algorithms", chapters 3 and 4).
+evaluation (N. J. Higham, "Accuracy and Stability of Numerical Algorithms", chapters 3 and 4), of underflow, and of what
+nodes, bases and weights differ by from what they stand for (`aerotube.sos.accuracy`).
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aerotube.sos.basis import Block, Polynomial, Sampling, nodes_and_basis, orthonormal_basis, sampling
+from aerotube.sos.accuracy import TINY, UNIT, accuracy
+from aerotube.sos.basis import Polynomial, Sampling, sampling
 from aerotube.sos.domain import Array, Domain
 
 if TYPE_CHECKING:
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from aerotube.sos.solution import Solution
-
-_UNIT = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +41,9 @@ class Certificate:
     ----------
     solution : Solution
     margins : dict of (...)
-        A lower bound of each constraint's value: of f over the whole domain, of the least eigenvalue, of the bound less
-        the norm, of the least slack. Not negative: the constraint is certified.
+        A lower bound of each constraint's value: of f over the part of the domain where the user's weights are not
+        negative (all of it without such weights), of the least eigenvalue, of the bound less the norm, of the least
+        slack. Not negative: the constraint is certified. -inf where the decision or a Gram matrix is not finite.
     least : dict of (...)
         Least eigenvalue of the Gram matrices of each sum-of-squares constraint, rounding allowed for.
     grams : dict of tuple of (..., N, N)
@@ -68,7 +68,7 @@ class Certificate:
 
     @property
     def bound(self) -> Array:
-        """Certified objective (...): reached by a decision that satisfies every constraint; inf where none is known."""
+        """Objective, as rounded, of a decision certified to satisfy every constraint (...); inf where none is known."""
         return np.asarray(np.where(self.holds, self.solution.objective, np.inf))
 
     def deficit(self, name: str) -> Array:
@@ -89,39 +89,68 @@ class Certificate:
 
 
 def certify(solution: Solution) -> Certificate:
-    """Certify the decisions of a solution, optimal or not."""
+    """Certify the decisions of a solution, optimal or not; nothing where a number is not finite."""
     margins: dict[str, Array] = {}
     least: dict[str, Array] = {}
     grams: dict[str, tuple[Array, ...]] = {}
     data = solution.data
-    for c in data.structure.constraints:
-        arrays = data.constraints[c.name]
-        if c.kind == "sos":
-            margins[c.name], least[c.name], grams[c.name] = _certify_sos(
-                solution.structure.sampling(c.name), arrays, solution.values, solution.grams[c.name]
-            )
-        else:
-            margins[c.name] = np.broadcast_to(_direct_margin(c.kind, arrays, solution.values), data.batch)
+    sound = np.all(np.isfinite(solution.values), axis=-1)
+    d = np.where(sound[..., None], solution.values, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for c in data.structure.constraints:
+            arrays = data.constraints[c.name]
+            if c.kind == "sos":
+                margin, least[c.name], grams[c.name] = _certify_sos(
+                    solution.structure.sampling(c.name), arrays, d, solution.grams[c.name]
+                )
+            else:
+                margin = _direct_margin(c.kind, arrays, d)
+            # A bound that overflowed on its way is none.
+            margins[c.name] = np.where(sound & np.isfinite(margin), margin, -np.inf)
     return Certificate(solution, margins, least, grams)
 
 
+def _length(x: Array, axes: int | tuple[int, ...] = -1) -> Array:
+    """Euclidean norm over axes, whatever the scale: squares of small or large entries neither vanish nor overflow."""
+    top = np.max(np.abs(x), axis=axes, keepdims=True, initial=0.0)
+    scale = np.where((top > 0.0) & np.isfinite(top), top, 1.0)
+    return np.asarray(np.squeeze(scale, axis=axes) * np.linalg.norm(x / scale, axis=axes))
+
+
+def _least_eigenvalue(matrix: Array) -> Array:
+    """Least eigenvalue (...) of symmetric matrices, rounding allowed for; -inf where an entry is not finite."""
+    size = _length(matrix, (-2, -1))
+    sound = np.isfinite(size)
+    value = np.linalg.eigvalsh(np.where(sound[..., None, None], matrix, 0.0))[..., 0]
+    return np.asarray(np.where(sound, value - 4.0 * UNIT * matrix.shape[-1] * size, -np.inf))
+
+
+def _any(x: Array, last: int = 1) -> NDArray[np.bool_]:
+    """Whether a number other than zero is in the last axes: where all are zero nothing is rounded."""
+    return np.asarray(np.any(x != 0.0, axis=tuple(range(-last, 0))))
+
+
 def _direct_margin(kind: str, arrays: Mapping[str, Array], d: Array) -> Array:
-    """Lower bound of a constraint's value by evaluating it, rounding allowed for."""
+    """Lower bound of a constraint's value by evaluating it, rounding and underflow allowed for."""
     m = d.shape[-1]
     if kind in ("lmi", "logdet"):
         value = arrays["F0"] + np.einsum("...i,...ijk->...jk", d, arrays["F"])
         size = np.abs(arrays["F0"]) + np.einsum("...i,...ijk->...jk", np.abs(d), np.abs(arrays["F"]))
         order = value.shape[-1]
-        slip = _UNIT * (m + 4 * order + 2) * np.linalg.norm(size, axis=(-2, -1))
-        return np.asarray(np.linalg.eigvalsh(0.5 * (value + np.swapaxes(value, -1, -2)))[..., 0] - slip)
+        slip = UNIT * (m + 4 * order + 4) * _length(size, (-2, -1))
+        slip = slip + _any(arrays["F"], last=3) * (TINY * (m + 2) * order)
+        return np.asarray(_least_eigenvalue(0.5 * (value + np.swapaxes(value, -1, -2))) - slip)
     value = np.einsum("...ri,...i->...r", arrays["A"], d)
     size = np.einsum("...ri,...i->...r", np.abs(arrays["A"]), np.abs(d)) + np.abs(arrays["b"])
     if kind == "linear":
-        return np.asarray(np.min(arrays["b"] - value - _UNIT * (m + 2) * size, axis=-1))
+        slip = UNIT * (m + 4) * size + _any(arrays["A"]) * (TINY * (m + 2))
+        return np.asarray(np.min(arrays["b"] - value - slip, axis=-1))
     top = np.einsum("...i,...i->...", arrays["g"], d) + arrays["h"]
     top_size = np.einsum("...i,...i->...", np.abs(arrays["g"]), np.abs(d)) + np.abs(arrays["h"])
-    slip = _UNIT * (m + value.shape[-1] + 4) * (np.linalg.norm(size, axis=-1) + top_size)
-    return np.asarray(top - np.linalg.norm(value + arrays["b"], axis=-1) - slip)
+    rows = value.shape[-1]
+    slip = UNIT * (m + rows + 8) * (_length(size) + top_size)
+    slip = slip + (_any(arrays["A"], last=2) | _any(arrays["g"])) * (TINY * (m + 2) * (rows + 1))
+    return np.asarray(top - _length(value + arrays["b"]) - slip)
 
 
 def _certify_sos(
@@ -129,16 +158,31 @@ def _certify_sos(
 ) -> tuple[Array, Array, tuple[Array, ...]]:
     """Margin and least eigenvalue (...), and folded Gram matrices."""
     f, slip = _values(arrays, d, np.float64)
+    sound = np.all([np.all(np.isfinite(gram), axis=(-2, -1)) for gram in grams], axis=0)
+    grams = tuple(np.where(sound[..., None, None], gram, 0.0) for gram in grams)
     folded = _fold(found, f - _gram_values(found, grams, np.float64)[0], grams)
-    least = _least_eigenvalues(folded)
-    floor = _floor(found, folded, least)
-    margin = floor - _left_over(found, f, slip, folded, np.float64)
-    short = margin < 0.0
+    least = [_least_eigenvalue(gram) for gram in folded]
+    floor = _floor(found, least)
+    margin = _below(floor, _left_over(found, f, slip, folded, np.float64))
+    short = np.broadcast_to(sound & (margin < 0.0), margin.shape)
     if np.any(short):
         # The rounding bound may be all that is in the way: evaluate the rest in extended precision.
-        f, slip = _values(arrays, d, np.longdouble)
-        margin = np.maximum(margin, floor - _left_over(found, f, slip, folded, np.longdouble))
-    return margin, np.min(least, axis=0), folded
+        few = [np.broadcast_to(gram, (*margin.shape, *gram.shape[-2:]))[short] for gram in folded]
+        own = {
+            key: np.broadcast_to(array, (*margin.shape, *array.shape[array.ndim - last :]))[short]
+            for key, array, last in (("c", arrays["c"], 1), ("C", arrays["C"], 2))
+        }
+        f, slip = _values(own, np.broadcast_to(d, (*margin.shape, d.shape[-1]))[short], np.longdouble)
+        margin = margin.copy()
+        margin[short] = np.maximum(
+            margin[short], _below(floor[short], _left_over(found, f, slip, tuple(few), np.longdouble))
+        )
+    return np.where(sound, margin, -np.inf), np.min(least, axis=0), folded
+
+
+def _below(floor: Array, left: Array) -> Array:
+    """The difference, rounded down."""
+    return np.asarray(floor - left - 4.0 * UNIT * (np.abs(floor) + left))
 
 
 def _values(arrays: Mapping[str, Array], d: Array, kind: Any) -> tuple[Any, Array]:
@@ -146,50 +190,31 @@ def _values(arrays: Mapping[str, Array], d: Array, kind: Any) -> tuple[Any, Arra
     C, c, e = arrays["C"].astype(kind), arrays["c"].astype(kind), d.astype(kind)
     f = np.sum(C * e[..., None, :], axis=-1) + c if kind is np.longdouble else c + np.einsum("...ui,...i->...u", C, e)
     size = np.abs(arrays["c"]) + np.einsum("...ui,...i->...u", np.abs(arrays["C"]), np.abs(d))
-    return f, np.asarray(float(np.finfo(kind).eps) * (d.shape[-1] + 2) * size)
+    m = d.shape[-1]
+    return f, np.asarray(float(np.finfo(kind).eps) * (m + 2) * size + _any(arrays["C"]) * (TINY * (m + 2)))
 
 
 def _gram_values(found: Sampling, grams: tuple[Array, ...], kind: Any) -> tuple[Any, Array]:
-    """Values (..., U) of sum_k g_k p_k'Q_k p_k at the nodes, and a bound of their rounding."""
+    """Values (..., U) of sum_k g_k p_k'Q_k p_k at the nodes, and a bound of how far they are from the reduced ones."""
     total: Any = 0.0
     slip: Any = 0.0
-    for block, gram in zip(found.blocks, grams, strict=True):
-        p, order = block.rows.astype(kind), block.rows.shape[1]
-        total = total + block.weights * np.sum((p @ gram.astype(kind)) * p, axis=-1)
-        length = np.abs(block.weights) * np.sum(block.rows**2, axis=1)
-        norm = np.linalg.norm(gram, axis=(-2, -1))[..., None]
-        slip = slip + float(np.finfo(kind).eps) * (2 * order + 4) * length * norm
+    fine = kind is np.longdouble
+    for block, own, gram in zip(found.blocks, accuracy(found).blocks, grams, strict=True):
+        p, g = (own.rows, own.weights) if fine else (block.rows, block.weights)
+        total = total + g * np.sum((p @ gram.astype(kind)) * p, axis=-1)
+        slip = slip + (own.slip_fine if fine else own.slip) * _length(gram, (-2, -1))[..., None]
+        slip = slip + _any(gram, last=2)[..., None] * (TINY * gram.shape[-1] ** 2) * (1.0 + own.length)
     return total, slip
 
 
 def _left_over(found: Sampling, f: Any, slip: Array, grams: tuple[Array, ...], kind: Any) -> Array:
     """Upper bound (...) on the domain of |f - sum_k g_k p_k'Q_k p_k|."""
     squares, more = _gram_values(found, grams, kind)
-    e = np.abs(np.asarray(f - squares, dtype=np.float64))
-    coefficients = np.asarray(f - squares, dtype=np.float64) @ found.inverse.T
-    size = float(np.linalg.norm(found.inverse, 2)) * np.linalg.norm(
-        slip + more + 4 * _UNIT * len(found.nodes) * e, axis=-1
-    )
-    return np.asarray(np.sqrt(_square_sum(found.domain, found.degree)) * (np.linalg.norm(coefficients, axis=-1) + size))
-
-
-@lru_cache(maxsize=64)
-def _inverse_norm(domain: Domain, degree: int) -> float:
-    """Upper bound of the Euclidean norm of the map from values at the nodes to coefficients."""
-    return 1.000001 * float(np.linalg.norm(nodes_and_basis(domain, degree)[2], 2))
-
-
-@lru_cache(maxsize=64)
-def _square_sum(domain: Domain, degree: int) -> float:
-    """Upper bound on the domain of the sum of squares of the orthonormal functions of that degree.
-
-    It is the number of all such functions on the lifted spheres: those even in every lifted coordinate live on the
-    domain, and the others are functions of lower degree times the lifted coordinates they are odd in.
-    """
-    total = 0
-    for count in range(min(len(domain.balls), degree) + 1):
-        total += sum(len(domain.exponents(degree - count)) for _ in combinations(domain.balls, count))
-    return 1.000001 * total
+    bounds, count = accuracy(found), len(found.nodes)
+    e = np.asarray(f - squares, dtype=np.float64)
+    size = bounds.inverse * _length(slip + more + UNIT * (count + 6) * np.abs(e))
+    size = size + bounds.trust * _length(e @ found.inverse.T) + np.any(e != 0.0, axis=-1) * (TINY * count**2)
+    return np.asarray(np.sqrt(bounds.square_sum) * size)
 
 
 def _fold(found: Sampling, residual: Array, grams: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -210,34 +235,12 @@ def _normal_inverse(domain: Domain, degree: int, weights: tuple[Polynomial, ...]
     return np.asarray(np.linalg.inv(normal))
 
 
-def _least_eigenvalues(grams: tuple[Array, ...]) -> list[Array]:
-    least = []
-    for gram in grams:
-        gram = 0.5 * (gram + np.swapaxes(gram, -1, -2))
-        slip = 4.0 * _UNIT * gram.shape[-1] * np.linalg.norm(gram, axis=(-2, -1))
-        least.append(np.linalg.eigvalsh(gram)[..., 0] - slip)
-    return least
-
-
-def _floor(found: Sampling, grams: tuple[Array, ...], least: list[Array]) -> Array:
+def _floor(found: Sampling, least: list[Array]) -> Array:
     """Lower bound (...) on the domain of sum_k g_k p_k'Q_k p_k."""
+    bounds = accuracy(found)
     domain_least = np.min([x for x, block in zip(least, found.blocks, strict=True) if block.weight is None], axis=0)
-    sum_of_squares = found.product_bound() * (1.0 - 1e-12 * np.sign(domain_least))
-    total = domain_least * sum_of_squares
-    for x, block in zip(least, found.blocks, strict=True):
+    total = domain_least * found.product_bound() * (1.0 - bounds.wobble * np.sign(domain_least))
+    for x, block, own in zip(least, found.blocks, bounds.blocks, strict=True):
         if block.weight is not None:
-            total = total + np.minimum(0.0, x) * _largest(block)
+            total = total + np.minimum(0.0, x) * own.largest
     return np.asarray(total)
-
-
-def _largest(block: Block) -> float:
-    """Upper bound on the domain of |g| |p|^2 for a block with a weight of the user's."""
-    weight = 1.0 if block.weight is None else float(np.sum(np.abs(block.weight.coefficients)))
-    full = orthonormal_basis(block.basis.domain, block.basis.degree)
-    return weight * _square_sum(full.domain, full.degree) * 1.000001
-
-
-def polynomial_of(found: Sampling, values: Array) -> Array:
-    """Coefficients (k,) in the monomials of the sampling's basis of the polynomial through values (U,)."""
-    _, basis, inverse = nodes_and_basis(found.domain, found.degree)
-    return np.asarray((inverse @ values) @ basis.matrix)
