@@ -117,7 +117,7 @@ def _length(x: Array, axes: int | tuple[int, ...] = -1) -> Array:
     return np.asarray(np.squeeze(scale, axis=axes) * np.linalg.norm(x / scale, axis=axes))
 
 
-def _least_eigenvalue(matrix: Array) -> Array:
+def least_eigenvalue(matrix: Array) -> Array:
     """Least eigenvalue (...) of symmetric matrices, rounding allowed for; -inf where an entry is not finite."""
     size = _length(matrix, (-2, -1))
     sound = np.isfinite(size)
@@ -139,7 +139,7 @@ def _direct_margin(kind: str, arrays: Mapping[str, Array], d: Array) -> Array:
         order = value.shape[-1]
         slip = UNIT * (m + 4 * order + 4) * _length(size, (-2, -1))
         slip = slip + _any(arrays["F"], last=3) * (TINY * (m + 2) * order)
-        return np.asarray(_least_eigenvalue(0.5 * (value + np.swapaxes(value, -1, -2))) - slip)
+        return np.asarray(least_eigenvalue(0.5 * (value + np.swapaxes(value, -1, -2))) - slip)
     value = np.einsum("...ri,...i->...r", arrays["A"], d)
     size = np.einsum("...ri,...i->...r", np.abs(arrays["A"]), np.abs(d)) + np.abs(arrays["b"])
     if kind == "linear":
@@ -161,7 +161,7 @@ def _certify_sos(
     sound = np.all([np.all(np.isfinite(gram), axis=(-2, -1)) for gram in grams], axis=0)
     grams = tuple(np.where(sound[..., None, None], gram, 0.0) for gram in grams)
     folded = _fold(found, f - _gram_values(found, grams, np.float64)[0], grams)
-    least = [_least_eigenvalue(gram) for gram in folded]
+    least = [least_eigenvalue(gram) for gram in folded]
     floor = _floor(found, least)
     margin = _below(floor, _left_over(found, f, slip, folded, np.float64))
     short = np.broadcast_to(sound & (margin < 0.0), margin.shape)

@@ -26,7 +26,8 @@ class Status(IntEnum):
     DEADLINE = 1
     """Stopped at the deadline; the values are the best reached so far."""
     INFEASIBLE = 2
-    """No decision satisfies the constraints: the multipliers are a certificate."""
+    """The multipliers contradict the constraints, up to rounding: `Solution.explain` says for decisions of what size
+    that is proven. Of sum-of-squares constraints it says that they cannot hold as sums of squares."""
     UNBOUNDED = 3
     """The objective has no lower bound: the values are a ray along which it falls."""
     TROUBLE = 4
@@ -58,7 +59,7 @@ class Solution:
         Gram matrices of each sum-of-squares constraint, one for each block.
     multipliers : dict of arrays
         Dual variables: (..., U) functionals for sos, (..., k, k) matrices for lmi and logdet, (..., 1 + k) for norm
-        (the bound's multiplier first), (..., rows) for linear. For an infeasible program, its certificate.
+        (the bound's multiplier first), (..., rows) for linear. For an infeasible program, the contradiction.
     primal_residual, dual_residual, gap : (...)
         Relative violation of the equations, of stationarity, and relative difference of the objectives.
     backend : str
@@ -94,7 +95,7 @@ class Solution:
         return certify(self)
 
     def explain(self, position: tuple[int, ...] = ()) -> Explanation:
-        """Say why the program at a place of the batch is infeasible; ValueError if it is not."""
+        """Say why the program at a place of the batch is infeasible, and how far that is proven; ValueError if not."""
         from aerotube.sos.explain import explain
 
         return explain(self, position)
