@@ -156,6 +156,19 @@ def test_violations_that_underflow_are_not_certified(solution):
     assert not solution.certificate().holds
 
 
+@pytest.mark.parametrize("lower", [False, True])
+def test_only_the_symmetric_part_of_a_gram_matrix_counts(lower):
+    found = sampling(sos.Sphere(3), 4)
+    order = len(found.blocks[0].basis)
+    gram = np.eye(order)
+    gram[(1, 0) if lower else (0, 1)] = -9.0
+    rows = found.blocks[0].rows
+    values = np.einsum("ui,ij,uj->u", rows, gram, rows)
+    margin = handmade.polynomial(sos.Sphere(3), 4, values, [gram]).certificate().margins["f"]
+    points = sos.Sphere(3).sample(20000, seed=1)
+    assert (found.basis(points) @ (found.inverse @ values)).min() >= margin
+
+
 def test_equations_between_zeros_hold():
     assert handmade.linear([[0.0]], [0.0], [1.0]).certificate().holds
     assert handmade.norm([[0.0]], [0.0], [0.0], 0.0, [1.0]).certificate().holds

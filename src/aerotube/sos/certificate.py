@@ -118,7 +118,8 @@ def _length(x: Array, axes: int | tuple[int, ...] = -1) -> Array:
 
 
 def least_eigenvalue(matrix: Array) -> Array:
-    """Least eigenvalue (...) of symmetric matrices, rounding allowed for; -inf where an entry is not finite."""
+    """Least eigenvalue (...) of matrices' symmetric parts, rounding allowed for; -inf where an entry is not finite."""
+    matrix = 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
     size = _length(matrix, (-2, -1))
     sound = np.isfinite(size)
     value = np.linalg.eigvalsh(np.where(sound[..., None, None], matrix, 0.0))[..., 0]
@@ -139,7 +140,7 @@ def _direct_margin(kind: str, arrays: Mapping[str, Array], d: Array) -> Array:
         order = value.shape[-1]
         slip = UNIT * (m + 4 * order + 4) * _length(size, (-2, -1))
         slip = slip + _any(arrays["F"], last=3) * (TINY * (m + 2) * order)
-        return np.asarray(least_eigenvalue(0.5 * (value + np.swapaxes(value, -1, -2))) - slip)
+        return np.asarray(least_eigenvalue(value) - slip)
     value = np.einsum("...ri,...i->...r", arrays["A"], d)
     size = np.einsum("...ri,...i->...r", np.abs(arrays["A"]), np.abs(d)) + np.abs(arrays["b"])
     if kind == "linear":

@@ -198,7 +198,7 @@ def _least_moments(found: Sampling, functional: Array) -> Array:
     result = []
     for block, own in zip(moment_matrices(found, functional), accuracy(found).blocks, strict=True):
         slip = np.abs(functional) @ (own.slip + UNIT * (len(functional) + 4) * own.length)
-        result.append(least_eigenvalue(0.5 * (block + block.T)) - 1.000001 * slip - TINY * len(functional))
+        result.append(least_eigenvalue(block) - 1.000001 * slip - TINY * len(functional))
     return np.array(result)
 
 
