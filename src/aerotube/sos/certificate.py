@@ -123,7 +123,8 @@ def least_eigenvalue(matrix: Array) -> Array:
     size = _length(matrix, (-2, -1))
     sound = np.isfinite(size)
     value = np.linalg.eigvalsh(np.where(sound[..., None, None], matrix, 0.0))[..., 0]
-    return np.asarray(np.where(sound, value - 4.0 * UNIT * matrix.shape[-1] * size, -np.inf))
+    slip = 4.0 * UNIT * matrix.shape[-1] * size + (size > 0.0) * (TINY * matrix.shape[-1])
+    return np.asarray(np.where(sound, value - slip, -np.inf))
 
 
 def _any(x: Array, last: int = 1) -> NDArray[np.bool_]:
