@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aerotube import sos
-from aerotube.sos.basis import monomials, orthonormal_basis, sampling
+from aerotube.sos.basis import fekete_points, monomials, orthonormal_basis, sampling
 
 DOMAINS = [
     (sos.Sphere(2), 6),
@@ -97,3 +97,13 @@ def test_what_cannot_be_sampled_is_refused():
         sos.Sphere(1)
     with pytest.raises(ValueError, match="no point"):
         sampling(sos.Ball(2), 2, (sos.Polynomial([[0, 0], [2, 0]], [-2.0, 1.0]),))
+
+
+@pytest.mark.parametrize(("domain", "degree"), [(sos.Sphere(4), 4), (sos.Sphere(8), 4), (sos.Ball(4), 4)])
+def test_nodes_do_not_depend_on_how_a_machine_rounds(domain, degree):
+    basis = orthonormal_basis(domain, degree)
+    values = basis(domain.sample(4 * len(basis)))
+    chosen = fekete_points(values)
+    for seed in range(3):
+        noise = np.random.default_rng(seed).uniform(-1, 1, values.shape)
+        np.testing.assert_array_equal(fekete_points(values * (1 + 1e-14 * noise)), chosen)

@@ -225,6 +225,32 @@ class Sampling:
         return float(sum(len(block.basis) for block in self.blocks if block.weight is None))
 
 
+def fekete_points(values: Array) -> IntArray:
+    """Choose points at which functions are best told apart: approximate Fekete points, as rising indices.
+
+    Parameters
+    ----------
+    values : (S, U)
+        Of U functions at S points of a dense sample.
+
+    Returns
+    -------
+    (U,)
+
+    Notes
+    -----
+    Sommariva and Vianello, "Computing approximate Fekete points by QR factorizations of Vandermonde matrices",
+    Computers & Mathematics with Applications 57 (2009). On a sphere all columns of the matrix to be factored have the
+    same norm, and rounding, which depends on the machine, would choose the first pivots: a preference for earlier
+    points, far above rounding and far below what matters, chooses them instead.
+    """
+    from scipy.linalg import qr
+
+    preference = 1.0 - 1e-6 * np.arange(len(values)) / len(values)
+    pivots = qr((values * preference[:, None]).T, mode="r", pivoting=True)[1]
+    return np.sort(pivots[: values.shape[1]])
+
+
 @lru_cache(maxsize=64)
 def nodes_and_basis(domain: Domain, degree: int) -> tuple[Array, Basis, Array]:
     """Approximate Fekete points by pivoted QR factorisation of a fixed dense sample.
@@ -241,18 +267,11 @@ def nodes_and_basis(domain: Domain, degree: int) -> tuple[Array, Basis, Array]:
     basis : Basis of degree 2d
     inverse : (U, U), from values at the nodes to coefficients
 
-    Notes
-    -----
-    Sommariva and Vianello, "Computing approximate Fekete points by QR factorizations of Vandermonde matrices",
-    Computers & Mathematics with Applications 57 (2009).
     """
-    from scipy.linalg import qr
-
     basis = orthonormal_basis(domain, degree)
     count = len(basis)
     sample = domain.sample(max(4 * count, 400) if count <= 1000 else 2 * count)
-    pivots = qr(basis(sample).T, mode="r", pivoting=True)[1]
-    nodes = np.ascontiguousarray(sample[np.sort(pivots[:count])])
+    nodes = np.ascontiguousarray(sample[fekete_points(basis(sample))])
     inverse = np.asarray(np.linalg.inv(basis(nodes)), dtype=np.float64)
     nodes.flags.writeable = inverse.flags.writeable = False
     return nodes, basis, inverse
