@@ -1,10 +1,15 @@
-"""A small made-up run, for the tests of what is done with results."""
+"""How the tests run, and a small made-up run for the tests of what is done with results."""
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 from aerotube import scenario
 from aerotube.results import CALM, ESTIMATOR, NOISE, Case, Law, Record, provenance
+
+# No test asserts a time: machines are shared, and the first example may compile something.
+settings.register_profile("house", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("house")
 
 BEATS, SEEDS, RUNS = 12, 3, 5
 HALVES = (("longitudinal", (0, 1, 2, 3)), ("lateral", (4, 5, 6, 7)))
