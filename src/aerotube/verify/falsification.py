@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 CHUNK = 20_000
-STEPS = (0.3, 0.1, 0.03, 0.01)
+FIRST_STEP = 0.3
 
 
 @dataclass(frozen=True)
@@ -177,8 +177,8 @@ def falsify(
     if coupling < 0 or measurement_error < 0:
         raise InputError("falsify: coupling and measurement error are shares of the box and must not be negative.")
     tubes = made.tubes
-    forms = tubes.metric / tubes.size[..., None, None] if metric else tubes.terminal_shape
-    forms = forms if metric else forms / tubes.terminal_rho[..., None, None]
+    shape, rho = (tubes.metric, tubes.size) if metric else (tubes.terminal_shape, tubes.terminal_rho)
+    forms = shape / rho[..., None, None]
     ranges = parameter_ranges(aircraft, disturbance.relative)
     coordinates: ErrorCoordinates = made.law.coordinates
     widths = coordinates.box(nominal.states[:-1], disturbance.half_widths)
@@ -251,7 +251,7 @@ def _climb(space: _Space, points: Array, values: Array, ascents: int) -> tuple[A
     """Climb from several points at once along finite-difference gradients, with shrinking steps."""
     axes = np.flatnonzero(space.free)
     h = 1e-4
-    length = np.full(len(points), STEPS[0])
+    length = np.full(len(points), FIRST_STEP)
     for _ in range(ascents):
         moved = np.repeat(points[:, None], len(axes), axis=1)
         # inwards from the boundary, so that every trial stays a point of the set
