@@ -4,31 +4,20 @@ from __future__ import annotations
 
 import os
 import sys
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, cast
+from typing import Annotated, Any, NoReturn, cast
 
 import typer
 
 from aerotube import __version__
+from aerotube.commands.common import EPILOG, FAILED, FINE, INTERRUPTED, MISTAKE, Interrupted, interruptible, progress
 from aerotube.errors import ComputationError, InputError
-
-if TYPE_CHECKING:
-    from aerotube.job import Progress
-
-FINE, FAILED, MISTAKE, INTERRUPTED = 0, 1, 2, 130
-
-_EPILOG = (
-    "Exit codes: 0 all is well; 1 something could not be computed (it is named, the rest is kept); "
-    "2 a mistake in what was asked for (nothing is written); 130 interrupted (what was finished is kept)."
-)
 
 cli = typer.Typer(
     name="aerotube",
     help="Trajectory tubes and compensation laws for aircraft, by sum-of-squares programming.",
-    epilog=_EPILOG,
+    epilog=EPILOG,
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -67,7 +56,7 @@ def init(
     typer.echo(f"{file} written; change it, then: aerotube run {file}")
 
 
-@cli.command(epilog=_EPILOG)
+@cli.command(epilog=EPILOG)
 def run(
     scenario: Annotated[
         Path | None, typer.Argument(help="A scenario file, as `aerotube init` writes one; Table 2 without it.")
@@ -117,9 +106,9 @@ def run(
         "nominal.horizon": None if horizon is None else f"{horizon!r} s",
         "synthesis.algorithm": algorithm,
     }
-    with _interruptible(), _progress() as progress:
+    with interruptible(), progress() as tell:
         source = load(scenario, {key: value for key, value in asked.items() if value is not None})
-        summary = job.run(source, out, workers or os.cpu_count() or 1, progress, certificates)
+        summary = job.run(source, out, workers or os.cpu_count() or 1, tell, certificates)
     _print_summary(summary, out)
     raise typer.Exit(_exit_code(summary, out))
 
@@ -133,7 +122,7 @@ def report(
     from aerotube import report as reports
     from aerotube.results import ensure_folder, read
 
-    with _interruptible():
+    with interruptible():
         dataset = read(results)
         folder = ensure_folder(out or results.parent)
         reports.write(dataset, folder)
@@ -151,7 +140,7 @@ def check(
     from aerotube.sos import check_file
 
     sound = True
-    with _interruptible():
+    with interruptible():
         for file in files:
             try:
                 found = check_file(file)
@@ -162,44 +151,6 @@ def check(
             sound = sound and found.holds
             typer.echo(f"{file}: " + ("holds" if found.holds else "DOES NOT HOLD") if len(files) > 1 else str(found))
     raise typer.Exit(FINE if sound else FAILED)
-
-
-class _Interrupted(Exception):
-    """Ctrl-C, under a name that the library of the command line leaves alone."""
-
-
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise _Interrupted from None
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    """Give a callback that shows how far the work is: a bar on a terminal, a line a part elsewhere."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        start = time.monotonic()
-
-        def line(words: str, share: float) -> None:
-            print(f"{time.monotonic() - start:6.1f} s {100 * share:4.0f} %  {words}", file=sys.stderr)
-
-        yield line
-        return
-    columns = (
-        TextColumn("{task.percentage:3.0f} %"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}"),
-    )
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("reading the scenario", total=1.0)
-        yield lambda words, share: bar.update(task, description=words, completed=share)
 
 
 def _print_summary(summary: dict[str, Any], out: Path) -> None:
@@ -270,7 +221,7 @@ def app(arguments: Sequence[str] | None = None) -> NoReturn:
         code = _say(error, FAILED)
     except OSError as error:
         code = _say(f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", FAILED)
-    except (_Interrupted, KeyboardInterrupt, typer.Abort):
+    except (Interrupted, KeyboardInterrupt, typer.Abort):
         code = _say("interrupted before the end; the files that are there are whole", INTERRUPTED)
     except usage_error as error:
         code = _say(f"{error.format_message()} See: aerotube --help", MISTAKE)  # type: ignore[attr-defined]
