@@ -18,8 +18,9 @@ from unittest import mock
 import numpy as np
 
 from aerotube import scenario, sos
+from aerotube.compensation.design import effort_weights
 from aerotube.compensation.settings import COUPLED, DECOUPLED, Part
-from aerotube.compensation.synthesis import effort_weights, synthesise
+from aerotube.compensation.synthesis import synthesise
 from aerotube.dynamics import ErrorCoordinates, linearise
 from aerotube.dynamics.error_map import taylor_map
 from aerotube.preparation import Prepared, prepare

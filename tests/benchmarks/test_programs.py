@@ -77,7 +77,7 @@ def test_the_paper_tube_is_the_increment_of_the_flown_step() -> None:
 
 
 def _paper_whitening(setting):
-    from aerotube.compensation.synthesis import effort_weights
+    from aerotube.compensation.design import effort_weights
     from aerotube.dynamics import linearise
     from aerotube.tube import ellipsoid, parameter_ranges, riccati, tracking_weights
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from aerotube import sos
-from aerotube.compensation import DECOUPLED, SynthesisSettings, exact_map, synthesis, synthesise
+from aerotube.compensation import DECOUPLED, SynthesisSettings, exact_map, synthesise
+from aerotube.compensation.design import _forecast, effort_weights
 from aerotube.dynamics import error_map
 from aerotube.errors import InputError
 from aerotube.nominal import constant_controls
@@ -43,8 +44,8 @@ def test_for_small_errors_the_law_is_the_regulator_of_the_linearised_map(noise_w
     settings = SynthesisSettings(noise_weight=noise_weight, control_weight=0.1)
     plane, nominal = aircraft(), table2(BEATS)
     result = synthesise(plane, nominal, TINY, settings)
-    expected = synthesis._forecast(plane, nominal, TINY, settings, result.law.coordinates, result.linearisation)
-    effort = synthesis.effort_weights(plane, nominal, 0.1)
+    expected = _forecast(plane, nominal, TINY, settings, result.law.coordinates, result.linearisation)
+    effort = effort_weights(plane, nominal, 0.1)
     for part in DECOUPLED:
         e, c = list(part.errors), list(part.controls)
         for t in range(BEATS):

@@ -1,17 +1,21 @@
 """Compensation laws that make trajectory tubes small."""
 
+from aerotube.compensation.design import Design, design
 from aerotube.compensation.law import LinearLaw
 from aerotube.compensation.settings import COUPLED, DECOUPLED, Part, SynthesisSettings
 from aerotube.compensation.synthesis import Compensation, synthesise
-from aerotube.compensation.tubes import Tubes
+from aerotube.compensation.tubes import Tubes, measure
 
 __all__ = [
     "COUPLED",
     "DECOUPLED",
     "Compensation",
+    "Design",
     "LinearLaw",
     "Part",
     "SynthesisSettings",
     "Tubes",
+    "design",
+    "measure",
     "synthesise",
 ]

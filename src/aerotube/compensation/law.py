@@ -41,3 +41,17 @@ class LinearLaw:
         ndarray (..., 4)
         """
         return np.asarray(error) @ self.gains[beat].T
+
+    def increments(self, beats: NDArray[np.intp], error: Array) -> Array:
+        """Increments at many beats.
+
+        Parameters
+        ----------
+        beats : ndarray (b,) of int
+        error : ndarray (b, ..., 8)
+
+        Returns
+        -------
+        ndarray (b, ..., 4)
+        """
+        return np.einsum("bij,b...j->b...i", self.gains[beats], error)

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerotube import sos
+from aerotube.aircraft.base import Aircraft
 from aerotube.compensation import exact_map
+from aerotube.compensation.closed_loop import BatchLaw, end_errors
+from aerotube.compensation.sets import initial_ellipsoid
 from aerotube.compensation.settings import Part, SynthesisSettings
+from aerotube.nominal import Nominal
+from aerotube.tube import DisturbanceBox
 
 Array = NDArray[np.float64]
 
@@ -52,28 +59,60 @@ class Tubes:
 
 
 def measure(
-    with_law: Array, without: Array, metric: Array, settings: SynthesisSettings, workers: int
-) -> tuple[dict[str, Array], sos.Certificate]:
-    """Sizes and terminal ellipsoids of a part's tubes, with the law and without it.
+    aircraft: Aircraft,
+    nominal: Nominal,
+    disturbance: DisturbanceBox,
+    law: BatchLaw,
+    metric: Sequence[Array],
+    settings: SynthesisSettings,
+    *,
+    beats: range | None = None,
+    workers: int = 1,
+) -> tuple[Tubes, tuple[sos.Certificate, ...]]:
+    """Sizes and terminal ellipsoids of tubes, with a law and without it.
 
     Parameters
     ----------
-    with_law, without : ndarray (T, k, U, n)
-        Errors at the end of each beat at the nodes of the sphere, for every extreme parameter value.
-    metric : ndarray (T, n, n)
-        In which size is measured.
+    aircraft : Aircraft
+    nominal : Nominal
+    disturbance : DisturbanceBox
+    law : BatchLaw
+    metric : sequence of ndarray (b, n, n)
+        In which the size of each part is measured.
     settings : SynthesisSettings
-        Degree and backend of the programs.
+        Parts, degree and backend of the programs.
+    beats : range, optional
+        All by default.
     workers : int
         Threads that solve.
 
     Returns
     -------
-    tubes : dict of ndarray (T, ...)
-        Those of :class:`Tubes` that are measured, for one part; NaN where there is none.
-    evidence : sos.Certificate
-        Of the sizes with the law.
+    tubes : Tubes
+        NaN where there is none.
+    evidence : tuple of sos.Certificate
+        Of the sizes with the law, one for each part.
     """
+    chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
+    vertices = disturbance.parameter_vertices(aircraft)
+    found: list[dict[str, Array]] = []
+    evidence = []
+    for part, shape in zip(settings.parts, metric, strict=True):
+        initial = initial_ellipsoid(disturbance, law.coordinates, nominal.states[chosen], part)
+        nodes = exact_map.size_structure(len(part.errors), len(vertices), settings.degree).nodes("tube/0")
+        points = np.einsum("bij,uj->bui", initial.whitening, nodes)
+        sample = partial(end_errors, aircraft, nominal, chosen, law.coordinates, part, points, vertices)
+        tubes, certificate = _measure_part(sample(law), sample(), shape, settings, workers)
+        found.append({"initial_shape": initial.shape, "initial_rho": initial.rho} | tubes)
+        evidence.append(certificate)
+    stacked = {name: np.stack([one[name] for one in found], axis=1) for name in found[0]}
+    return Tubes(settings.parts, **stacked, certificate="polynomial only"), tuple(evidence)
+
+
+def _measure_part(
+    with_law: Array, without: Array, metric: Array, settings: SynthesisSettings, workers: int
+) -> tuple[dict[str, Array], sos.Certificate]:
+    """Tubes of one part, from its errors (b, k, U, n) at the end of the beats."""
     closed_shape, closed_rho = _least_volume(with_law, settings, workers)
     open_shape, open_rho = _least_volume(without, settings, workers)
     size, evidence = _least_rho(with_law, metric, settings, workers)
