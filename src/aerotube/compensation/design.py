@@ -17,7 +17,7 @@ from aerotube.compensation.forecast import Forecast, forecast
 from aerotube.compensation.law import LinearLaw
 from aerotube.compensation.sets import initial_ellipsoid
 from aerotube.compensation.settings import Part, SynthesisSettings
-from aerotube.dynamics import ErrorCoordinates, Linearisation, error_map, linearise
+from aerotube.dynamics import ErrorCoordinates, Linearisation, error_map, linearise, taylor_map
 from aerotube.nominal import Nominal
 from aerotube.tube import DisturbanceBox, parameter_ranges, riccati, tracking_weights
 
@@ -115,13 +115,7 @@ def design(
         linear=linear,
         expected=_forecast(aircraft, nominal, disturbance, settings, coordinates, linear),
         effort=effort_weights(aircraft, nominal, settings.control_weight),
-        input_map=np.stack(
-            [
-                linearise(aircraft, nominal, coordinates, vertex).B[chosen]
-                for vertex in disturbance.parameter_vertices(aircraft)
-            ],
-            axis=1,
-        ),
+        input_map=_input_maps(aircraft, nominal, coordinates, chosen, disturbance.parameter_vertices(aircraft)),
     )
     results = []
     for index, part in enumerate(settings.parts):
@@ -222,6 +216,25 @@ def _forecast(
         settings.noise_weight,
         settings.parts,
     )
+
+
+def _input_maps(
+    aircraft: Aircraft, nominal: Nominal, coordinates: ErrorCoordinates, beats: NDArray[np.intp], vertices: Array
+) -> Array:
+    """Derivatives with respect to the virtual controls, at each extreme parameter value: ndarray (b, k, 8, 4)."""
+    # The expansion costs the same for one beat as for many, so all are one batch; errors are no variables of it.
+    polynomial = taylor_map(
+        aircraft,
+        nominal,
+        np.repeat(beats, len(vertices)),
+        coordinates,
+        order=1,
+        errors=(),
+        at=np.tile(vertices, (len(beats), 1)).T,
+    )
+    first = [int(np.flatnonzero(row)[0]) if row.any() else -1 for row in polynomial.space.exponents]
+    columns = [first.index(i) for i in range(4)]
+    return polynomial.coefficients[:, :, columns].reshape(len(beats), len(vertices), 8, 4)
 
 
 def _metric(task: _Task, part: Part) -> Array:

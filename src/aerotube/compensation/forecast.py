@@ -130,23 +130,22 @@ def _backward(
     beats = len(effort)
     cost, gain = np.empty((beats + 1, 8, 8)), np.zeros((beats, 4, 8))
     cost[beats] = weights[beats]
-    filters = []
+    blocks = []
     for part in parts:
+        own, moved = np.ix_(part.errors, part.errors), np.ix_(part.controls, part.errors)
+        controls = list(part.controls)
         heard = noise[:, part.errors][:, :, part.errors]
+        best_guess = np.broadcast_to(np.eye(len(part.errors)), heard.shape)
         if heard.any():
             seen = moment[:beats, part.errors][:, :, part.errors]
-            filters.append(np.swapaxes(np.linalg.solve(seen + heard, seen), 1, 2))
-        else:
-            filters.append(np.broadcast_to(np.eye(len(part.errors)), heard.shape))
+            best_guess = np.swapaxes(np.linalg.solve(seen + heard, seen), 1, 2)
+        # taken out of the whole matrices once, not in every step of the loop, which is short of time in flight
+        A, B = linear.A[:, own[0], own[1]], linear.B[:, own[0], controls]
+        blocks.append((own, moved, A @ best_guess, B, effort[:, controls][:, :, controls]))
     for t in range(beats - 1, -1, -1):
-        for part, best_guess in zip(parts, filters, strict=True):
-            own = np.ix_(part.errors, part.errors)
-            B = linear.B[t][np.ix_(part.errors, part.controls)]
-            pb = cost[t + 1][own] @ B
-            regulator = np.linalg.solve(
-                effort[t][np.ix_(part.controls, part.controls)] + B.T @ pb, pb.T @ linear.A[t][own]
-            )
-            gain[t][np.ix_(part.controls, part.errors)] = -regulator @ best_guess[t]
+        for own, moved, A, B, R in blocks:
+            pb = cost[t + 1][own] @ B[t]
+            gain[t][moved] = -np.linalg.solve(R[t] + B[t].T @ pb, pb.T @ A[t])
         closed = linear.A[t] + linear.B[t] @ gain[t]
         value = weights[t] + closed.T @ cost[t + 1] @ closed + gain[t].T @ effort[t] @ gain[t]
         cost[t] = 0.5 * (value + value.T)

@@ -123,8 +123,8 @@ def taylor_map(
         Total degree; the paper's choice is 3 (Section 2.2.1).
     errors, increments, parameters : sequences of int
         The variables; see :class:`TaylorMap`.
-    at : sequence of float, optional
-        Values of the aircraft's parameters; nominal by default.
+    at : sequence of float or ndarray (b,), optional
+        Values of the aircraft's parameters, one for all beats or one for each; nominal by default.
 
     Returns
     -------
