@@ -4,7 +4,7 @@ from aerotube.compensation.design import Design, design
 from aerotube.compensation.law import LinearLaw
 from aerotube.compensation.settings import COUPLED, DECOUPLED, Part, SynthesisSettings
 from aerotube.compensation.synthesis import Compensation, synthesise
-from aerotube.compensation.tubes import Tubes, measure
+from aerotube.compensation.tubes import Tubes, certified_size, measure
 
 __all__ = [
     "COUPLED",
@@ -15,6 +15,7 @@ __all__ = [
     "Part",
     "SynthesisSettings",
     "Tubes",
+    "certified_size",
     "design",
     "measure",
     "synthesise",

@@ -39,6 +39,9 @@ class Design:
     metric : tuple of ndarray (b, n, n)
         The metric E1 in which each part's size was made small.
     feasible : ndarray (b, parts) of bool
+    stopped : ndarray (b, parts) of bool
+        Laws as they stood at the solver's deadline, brought into their limits: what they are worth, their measured
+        size says. They do not count as feasible.
     messages : list of str
         One sentence for each failure.
     bound : ndarray (b, parts)
@@ -55,6 +58,7 @@ class Design:
     beats: NDArray[np.intp]
     metric: tuple[Array, ...]
     feasible: NDArray[np.bool_]
+    stopped: NDArray[np.bool_]
     messages: list[str]
     bound: Array
     solve_seconds: Array
@@ -70,6 +74,7 @@ def design(
     *,
     beats: range | None = None,
     workers: int = 1,
+    deadline: float | None = None,
     progress: Progress | None = None,
 ) -> Design:
     """Compute compensation laws for beats of a nominal trajectory.
@@ -86,6 +91,8 @@ def design(
         Beats to compute laws for; all by default.
     workers : int
         Threads that solve; the numbers do not depend on it.
+    deadline : float, optional
+        Seconds allowed for each program; see ``stopped`` of :class:`Design`.
     progress : callable, optional
         Called with the number of programs solved and their total.
 
@@ -119,7 +126,7 @@ def design(
     )
     results = []
     for index, part in enumerate(settings.parts):
-        results.append(_design_part(task, part, workers))
+        results.append(_design_part(task, part, workers, deadline))
         if progress is not None:
             progress((index + 1) * len(chosen), len(settings.parts) * len(chosen))
     gains = np.zeros((nominal.beats, 4, 8))
@@ -135,6 +142,7 @@ def design(
         beats=chosen,
         metric=tuple(result.metric for result in results),
         feasible=gather("feasible").astype(bool),
+        stopped=gather("stopped").astype(bool),
         messages=[message for result in results for message in result.messages],
         bound=gather("bound"),
         solve_seconds=gather("seconds"),
@@ -164,6 +172,7 @@ class _PartDesign:
     gains: Array
     metric: Array
     feasible: NDArray[np.bool_]
+    stopped: NDArray[np.bool_]
     messages: list[str]
     bound: Array
     seconds: Array
@@ -250,7 +259,7 @@ def _metric(task: _Task, part: Part) -> Array:
     )
 
 
-def _design_part(task: _Task, part: Part, workers: int) -> _PartDesign:
+def _design_part(task: _Task, part: Part, workers: int, deadline: float | None) -> _PartDesign:
     settings, beats, n = task.settings, task.beats, len(part.errors)
     states = task.nominal.states[beats]
     initial = initial_ellipsoid(task.disturbance, task.coordinates, states, part)
@@ -261,7 +270,7 @@ def _design_part(task: _Task, part: Part, workers: int) -> _PartDesign:
     points = np.einsum("bij,uj->bui", initial.whitening, structure.nodes("tube/0"))
     seen = task.coordinates.box(states, (1.0 + settings.measurement_error) * task.disturbance.half_widths)
     reach = seen * (np.sqrt(n) if settings.limits == "ellipsoid" else 1.0)
-    lower, upper = _available(task.aircraft, states, task.nominal.controls[beats], task.coordinates, reach)
+    lower, upper = available_increments(task.aircraft, states, task.nominal.controls[beats], task.coordinates, reach)
     limit = np.minimum(-lower, upper)[:, part.controls]
     span = (upper - lower)[:, part.controls]
     usable = limit > 1e-6 * span
@@ -279,30 +288,44 @@ def _design_part(task: _Task, part: Part, workers: int) -> _PartDesign:
     )
     scaling = exact_map.scale(data)
     problem = exact_map.program_data(structure, data, scaling, settings.size, settings.limits)
-    solution = sos.solve(structure, problem, backend=settings.backend, workers=workers)
+    solution = sos.solve(structure, problem, backend=settings.backend, deadline=deadline, workers=workers)
     feasible = solution.status == sos.Status.OPTIMAL
-    gains = np.where(feasible[:, None, None], exact_map.gains(solution["K"], data, scaling), 0.0)
+    gains = exact_map.gains(solution["K"], data, scaling)
+    stopped = (solution.status == sos.Status.DEADLINE) & np.isfinite(gains).all((1, 2))
+    gains = np.where((feasible | stopped)[:, None, None], gains, 0.0)
     gains *= usable[:, :, None]
     gains *= _into_limits(gains, data, settings.limits)[:, :, None]
     messages = [
         f"beat {beats[i]}, {part.name}: no law ({sos.Status(solution.status[i]).name.lower().replace('_', ' ')}); "
         "the nominal alone is flown."
-        for i in np.flatnonzero(~feasible)
+        for i in np.flatnonzero(~feasible & ~stopped)
     ]
     return _PartDesign(
         gains=gains,
         metric=data.shape,
         feasible=feasible,
+        stopped=stopped,
         messages=messages,
         bound=np.where(feasible, solution.objective * scaling.size, np.nan),
         seconds=solution.seconds,
     )
 
 
-def _available(
+def available_increments(
     aircraft: Aircraft, states: Array, controls: Array, coordinates: ErrorCoordinates, reach: Array
 ) -> tuple[Array, Array]:
     """Least increments of the virtual controls that are available at the nominal and the corners of a box around it.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+    states : ndarray (b, 13)
+        Nominal states.
+    controls : ndarray (b, 4)
+        Nominal controls.
+    coordinates : ErrorCoordinates
+    reach : ndarray (b, 8)
+        Half-widths of the box, in these coordinates.
 
     Returns
     -------

@@ -15,6 +15,7 @@ from aerotube.compensation import exact_map
 from aerotube.compensation.closed_loop import BatchLaw, end_errors
 from aerotube.compensation.sets import initial_ellipsoid
 from aerotube.compensation.settings import Part, SynthesisSettings
+from aerotube.dynamics import ErrorCoordinates
 from aerotube.nominal import Nominal
 from aerotube.tube import DisturbanceBox
 
@@ -107,6 +108,42 @@ def measure(
         evidence.append(certificate)
     stacked = {name: np.stack([one[name] for one in found], axis=1) for name in found[0]}
     return Tubes(settings.parts, **stacked, certificate="polynomial only"), tuple(evidence)
+
+
+def certified_size(
+    aircraft: Aircraft,
+    nominal: Nominal,
+    disturbance: DisturbanceBox,
+    law: BatchLaw | None,
+    metric: Sequence[Array],
+    settings: SynthesisSettings,
+    *,
+    beats: range | NDArray[np.intp] | None = None,
+    workers: int = 1,
+) -> Array:
+    """Sizes of the tubes with a law, and nothing else of what :func:`measure` gives: for use in flight.
+
+    Parameters
+    ----------
+    law : BatchLaw or None
+        None: the nominal controls alone.
+
+    Returns
+    -------
+    ndarray (b, parts)
+        NaN where no size could be certified. The other arguments are those of :func:`measure`.
+    """
+    chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
+    coordinates = ErrorCoordinates(settings.attitude) if law is None else law.coordinates
+    vertices = disturbance.parameter_vertices(aircraft)
+    sizes = []
+    for part, shape in zip(settings.parts, metric, strict=True):
+        initial = initial_ellipsoid(disturbance, coordinates, nominal.states[chosen], part)
+        nodes = exact_map.size_structure(len(part.errors), len(vertices), settings.degree).nodes("tube/0")
+        points = np.einsum("bij,uj->bui", initial.whitening, nodes)
+        end = end_errors(aircraft, nominal, chosen, coordinates, part, points, vertices, law)
+        sizes.append(_least_rho(end, shape, settings, workers)[0])
+    return np.stack(sizes, axis=1)
 
 
 def _measure_part(
