@@ -243,6 +243,7 @@ class _Flights:
                 disturbance.half_widths,
                 self.chosen.flight.noise,
                 mass_error=disturbance.mass,
+                other_parameters=[(-change, change) for change in list(disturbance.relative.values())[1:]],
             )
         return self._filter
 

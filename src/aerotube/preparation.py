@@ -84,18 +84,23 @@ def prepare(source: scenario.Source) -> Prepared:
     chosen = source.scenario
     common: dict[str, Any] = {"xcg": chosen.aircraft.xcg, "engine_momentum": chosen.aircraft.engine_momentum}
     name, published = chosen.aircraft.model, chosen.aircraft.interpolation
+    relative = chosen.disturbance.relative
+    if len(relative) > 1:
+        common["uncertain"] = tuple(relative)
     rigid = make(name, interpolation=published, **common)
     plant = make(name, interpolation=published, engine_lag=True, **common) if chosen.aircraft.engine_lag else rigid
     model = make(name, interpolation=chosen.aircraft.synthesis_interpolation, **common)
     reference = make_nominal(source, rigid)
     reference.check(rigid)
     reference.check(model)
-    box = DisturbanceBox(np.array(chosen.disturbance.half_widths), {"mass": chosen.disturbance.mass})
+    box = DisturbanceBox(np.array(chosen.disturbance.half_widths), relative)
     draws = flight.draw(
         chosen.disturbance.half_widths,
         chosen.draws.seed_values,
         chosen.draws.runs,
-        mass_error=chosen.disturbance.mass,
+        mass_error=relative["mass"],
+        other_parameters=[(1.0 - change, 1.0 + change) for change in list(relative.values())[1:]],
+        inverse=[i for i, parameter in enumerate(rigid.parameter_names) if parameter.startswith("inverse_")],
     )
     settings: dict[str, compensation.SynthesisSettings] = {
         key: compensation.SynthesisSettings(**chosen.synthesis.setting(key)) for key in SETTINGS

@@ -113,7 +113,7 @@ class Nominal(_Section):
 
 
 class Disturbance(_Section):
-    """Half-widths of the disturbance box (SI), and of the mass perturbation."""
+    """Half-widths of the disturbance box (SI), and largest relative changes of uncertain quantities."""
 
     V: Annotated[Speed, Field(gt=0.0)]
     alpha: Annotated[Angle, Field(gt=0.0)]
@@ -124,11 +124,20 @@ class Disturbance(_Section):
     r: Annotated[Rate, Field(gt=0.0)]
     phi: Annotated[Angle, Field(gt=0.0)]
     mass: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.0
+    inertia: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.0
+    lift: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.0
+    control_effectiveness: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.0
 
     @property
     def half_widths(self) -> tuple[float, ...]:
         """The eight half-widths in the order of the error state."""
         return (self.V, self.alpha, self.q, self.theta, self.beta, self.p, self.r, self.phi)
+
+    @property
+    def relative(self) -> dict[str, float]:
+        """Largest relative change of each uncertain quantity; the mass is always one, the others where they change."""
+        others = ("inertia", "lift", "control_effectiveness")
+        return {"mass": self.mass} | {name: getattr(self, name) for name in others if getattr(self, name) > 0.0}
 
 
 class Draws(_Section):

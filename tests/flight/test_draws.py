@@ -55,6 +55,20 @@ def test_mass_is_uniform_in_mass():
     assert abs((error**2).mean() - 1 / 3) < 5 * np.sqrt(4 / 45 / 4000)
 
 
+def test_further_parameters_leave_the_others_their_numbers():
+    """A parameter given as an inverse ratio is uniform in what it is the inverse of."""
+    ranges = [(0.8, 1.2), (0.9, 1.1)]
+    alone = draw(BOX, [5], 4000, mass_error=0.05)
+    both = draw(BOX, [5], 4000, mass_error=0.05, other_parameters=ranges, inverse=(0, 1))
+    np.testing.assert_array_equal(both.initial_error, alone.initial_error)
+    np.testing.assert_array_equal(both.parameters[:, :1], alone.parameters)
+    for quantity, (_, upper) in zip((1 / both.parameters[:, 1], both.parameters[:, 2]), ranges, strict=True):
+        scaled = (quantity - 1) / (upper - 1)
+        assert np.all(np.abs(scaled) <= 1 + 1e-12)
+        assert abs(scaled.mean()) < 5 * np.sqrt(1 / 3 / 4000)
+        assert abs((scaled**2).mean() - 1 / 3) < 5 * np.sqrt(4 / 45 / 4000)
+
+
 def test_no_disturbance_is_exactly_none():
     draws = draw(np.zeros(8), range(2), 3)
     assert not draws.initial_error.any()

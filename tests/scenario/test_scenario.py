@@ -5,6 +5,7 @@ import pytest
 
 from aerotube import scenario
 from aerotube.errors import InputError
+from aerotube.preparation import prepare
 
 TEXT = scenario.built_in_text()
 
@@ -34,6 +35,25 @@ def test_the_built_in_scenario_says_everything_that_the_defaults_say():
     assert scenario.parse(needed).scenario.model_dump(exclude={"title", "synthesis"}) == stated.model_dump(
         exclude={"title", "synthesis"}
     )
+
+
+def test_uncertain_quantities_reach_aircraft_box_and_draws():
+    text = changed('inertia = "0 %"', 'inertia = "10 %"')
+    text = text.replace('control_effectiveness = "0 %"', 'control_effectiveness = "20 %"').replace(
+        "seeds = 30 ", "seeds = 2 "
+    )
+    prepared = prepare(scenario.parse(text))
+    names = ("inverse_mass", "inverse_inertia", "control_effectiveness")
+    assert all(plane.parameter_names == names for plane in (prepared.plant, prepared.rigid, prepared.model))
+    vertices = prepared.disturbance.parameter_vertices(prepared.model)
+    assert vertices.shape == (8, 3)
+    drawn = prepared.draws.parameters
+    assert drawn.shape == (200, 3)
+    assert (drawn >= vertices.min(0)).all()
+    assert (drawn <= vertices.max(0)).all()
+    plain = prepare(scenario.parse(TEXT.replace("seeds = 30 ", "seeds = 2 ")))
+    assert plain.model.parameter_names == ("inverse_mass",)
+    np.testing.assert_array_equal(plain.draws.parameters, drawn[:, :1])
 
 
 def test_a_setting_overrules_the_common_keys():

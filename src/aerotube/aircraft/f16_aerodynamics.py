@@ -81,7 +81,13 @@ def aerodynamic_tables(interpolation: Interpolation) -> AerodynamicTables:
 
 @register_jitable
 def coefficients(
-    tables: AerodynamicTables, flow: Components, rotation: Components, control: Components, lever: float
+    tables: AerodynamicTables,
+    flow: Components,
+    rotation: Components,
+    control: Components,
+    lever: float,
+    lift: Any = None,
+    effectiveness: Any = None,
 ) -> Components:
     """Force and moment coefficients in body axes.
 
@@ -97,6 +103,10 @@ def coefficients(
         (rad, positive turns left).
     lever : float
         Distance by which the centre of gravity is ahead of that of the tables, over the chord.
+    lift : float, optional
+        Ratio of the lift to the published one; it acts at the tables' reference, across the air's direction.
+    effectiveness : float, optional
+        Ratio of what the deflected surfaces add to the coefficients to what the tables say they add.
 
     Returns
     -------
@@ -111,15 +121,25 @@ def coefficients(
 
     by_attack = lookup1(tables.attack, attack)
     by_elevator = lookup2(tables.elevator_attack, elevator, attack)
+    axial, pitching = by_elevator[0], by_elevator[1]
+    if effectiveness is not None:
+        neutral = lookup2(tables.elevator_attack, 0.0 * elevator, attack)
+        axial = neutral[0] + effectiveness * (axial - neutral[0])
+        pitching = neutral[1] + effectiveness * (pitching - neutral[1])
+        elevator, aileron, rudder = effectiveness * elevator, effectiveness * aileron, effectiveness * rudder
     by_sideslip = lookup2(tables.sideslip_attack, sideslip, attack)
     static_cz, cx_q, cz_q, cm_q = by_attack[0], by_attack[1], by_attack[2], by_attack[3]
     cy_r, cy_p, cl_r = by_attack[4], by_attack[5], by_attack[6]
     cl_p, cn_r, cn_p = by_attack[7], by_attack[8], by_attack[9]
 
-    cx = by_elevator[0] + cx_q * pitch
+    cx = axial + cx_q * pitch
     cy = _CY_SIDESLIP * sideslip + _CY_AILERON * aileron + _CY_RUDDER * rudder + cy_r * yaw + cy_p * roll
     cz = static_cz * (1.0 - _CZ_SIDESLIP * (sideslip * sideslip)) + _CZ_ELEVATOR * elevator + cz_q * pitch
+    if lift is not None:
+        sine, cosine = np.sin(attack), np.cos(attack)
+        added = (lift - 1.0) * (cx * sine - cz * cosine)
+        cx, cz = cx + added * sine, cz - added * cosine
     cl = by_sideslip[0] + by_sideslip[2] * aileron + by_sideslip[3] * rudder + cl_r * yaw + cl_p * roll
-    cm = by_elevator[1] + cm_q * pitch + lever * cz
+    cm = pitching + cm_q * pitch + lever * cz
     cn = by_sideslip[1] + by_sideslip[4] * aileron + by_sideslip[5] * rudder + cn_r * yaw + cn_p * roll
     return cx, cy, cz, cl, cm, cn - (lever * CHORD / SPAN) * cy

@@ -134,6 +134,7 @@ def draw(
     *,
     mass_error: float = 0.0,
     other_parameters: Sequence[tuple[float, float]] = (),
+    inverse: Sequence[int] = (0,),
 ) -> Draws:
     """Draw initial errors and parameters for every run of every seed.
 
@@ -152,6 +153,8 @@ def draw(
     other_parameters : sequence of (lower, upper)
         Ranges of the aircraft's further uncertain parameters, uniform, in the order of its
         ``parameter_names`` after ``inverse_mass``.
+    inverse : sequence of int
+        Places, the mass being 0, of what is drawn as a ratio of quantities and given to the aircraft as its inverse.
 
     Returns
     -------
@@ -187,7 +190,7 @@ def draw(
         ]
         parameters.append(np.stack(columns, axis=-1))
     sigma = np.concatenate(parameters)
-    sigma[:, 0] = 1.0 / sigma[:, 0]
+    sigma[:, list(inverse)] = 1.0 / sigma[:, list(inverse)]
     initial = np.concatenate(errors)
     for array in (box, initial, sigma):
         array.setflags(write=False)
