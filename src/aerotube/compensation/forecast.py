@@ -27,6 +27,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from aerotube.compensation.settings import Part
@@ -110,17 +111,21 @@ def forecast(
 
 def _forward(linear: Linearisation, step: Array, start: Array, gain: Array, noise: Array) -> Array:
     """Second moments of the errors under given gains: ndarray (T + 1, 8, 8)."""
-    beats = len(gain)
     fed_back = linear.B @ gain
     closed = step.copy()
     closed[:, :8, :8] = linear.A + fed_back
-    added = fed_back @ noise @ np.swapaxes(fed_back, 1, 2)
-    moment = np.empty((beats + 1, *start.shape))
+    added = np.zeros_like(closed)
+    added[:, :8, :8] = fed_back @ noise @ np.swapaxes(fed_back, 1, 2)
+    moment = np.empty((len(gain) + 1, *start.shape))
     moment[0] = start
-    for t in range(beats):
-        moment[t + 1] = closed[t] @ moment[t] @ closed[t].T
-        moment[t + 1, :8, :8] += added[t]
+    _propagate(closed, added, moment)
     return moment[:, :8, :8]
+
+
+@njit(cache=True, nogil=True)
+def _propagate(closed: Array, added: Array, moment: Array) -> None:
+    for t in range(len(closed)):
+        moment[t + 1] = closed[t] @ moment[t] @ np.ascontiguousarray(closed[t].T) + added[t]
 
 
 def _backward(
@@ -130,23 +135,58 @@ def _backward(
     beats = len(effort)
     cost, gain = np.empty((beats + 1, 8, 8)), np.zeros((beats, 4, 8))
     cost[beats] = weights[beats]
-    blocks = []
-    for part in parts:
-        own, moved = np.ix_(part.errors, part.errors), np.ix_(part.controls, part.errors)
-        controls = list(part.controls)
-        heard = noise[:, part.errors][:, :, part.errors]
-        best_guess = np.broadcast_to(np.eye(len(part.errors)), heard.shape)
+    guess = np.zeros((beats, 8, 8))
+    errors, controls = (np.full((len(parts), size), -1) for size in (8, 4))
+    for i, part in enumerate(parts):
+        errors[i, : len(part.errors)], controls[i, : len(part.controls)] = part.errors, part.controls
+        own = np.ix_(range(beats), part.errors, part.errors)
+        guess[own] = np.eye(len(part.errors))
+        heard = noise[own]
         if heard.any():
-            seen = moment[:beats, part.errors][:, :, part.errors]
-            best_guess = np.swapaxes(np.linalg.solve(seen + heard, seen), 1, 2)
-        # taken out of the whole matrices once, not in every step of the loop, which is short of time in flight
-        A, B = linear.A[:, own[0], own[1]], linear.B[:, own[0], controls]
-        blocks.append((own, moved, A @ best_guess, B, effort[:, controls][:, :, controls]))
-    for t in range(beats - 1, -1, -1):
-        for own, moved, A, B, R in blocks:
-            pb = cost[t + 1][own] @ B[t]
-            gain[t][moved] = -np.linalg.solve(R[t] + B[t].T @ pb, pb.T @ A[t])
-        closed = linear.A[t] + linear.B[t] @ gain[t]
-        value = weights[t] + closed.T @ cost[t + 1] @ closed + gain[t].T @ effort[t] @ gain[t]
-        cost[t] = 0.5 * (value + value.T)
+            seen = moment[:beats][own]
+            guess[own] = np.swapaxes(np.linalg.solve(seen + heard, seen), 1, 2)
+    matrices = (np.ascontiguousarray(values) for values in (linear.A, linear.B, weights, effort, guess))
+    _recur(*matrices, errors, controls, cost, gain)
     return cost, gain
+
+
+@njit(cache=True, nogil=True)
+def _recur(
+    A: Array,
+    B: Array,
+    weights: Array,
+    effort: Array,
+    guess: Array,
+    errors: NDArray[np.int64],
+    controls: NDArray[np.int64],
+    cost: Array,
+    gain: Array,
+) -> None:
+    """Costs and gains, last beat first; a part is a row of errors and one of controls, -1 behind its last."""
+    for t in range(len(A) - 1, -1, -1):
+        for part in range(len(errors)):
+            own, moved = errors[part][errors[part] >= 0], controls[part][controls[part] >= 0]
+            n, m = len(own), len(moved)
+            a, p, g = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+            b, r = np.empty((n, m)), np.empty((m, m))
+            for i in range(n):
+                for j in range(n):
+                    a[i, j], p[i, j], g[i, j] = (
+                        A[t, own[i], own[j]],
+                        cost[t + 1, own[i], own[j]],
+                        guess[t, own[i], own[j]],
+                    )
+                for j in range(m):
+                    b[i, j] = B[t, own[i], moved[j]]
+            for i in range(m):
+                for j in range(m):
+                    r[i, j] = effort[t, moved[i], moved[j]]
+            turned = np.ascontiguousarray(b.T) @ p
+            k = np.linalg.solve(r + turned @ b, turned @ (a @ g))
+            for i in range(m):
+                for j in range(n):
+                    gain[t, moved[i], own[j]] = -k[i, j]
+        closed = A[t] + B[t] @ gain[t]
+        after, moves = np.ascontiguousarray(closed.T), np.ascontiguousarray(gain[t].T)
+        value = weights[t] + after @ cost[t + 1] @ closed + moves @ effort[t] @ gain[t]
+        cost[t] = 0.5 * (value + value.T)
