@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -44,21 +44,50 @@ def build_page(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping
         ("scenario", "Scenario", _scenario(dataset)),
         ("provenance", "Provenance", _provenance(dataset)),
     ]
-    shown = [(name, title, body) for name, title, body in sections if body]
-    links = "".join(f'<a href="#{name}">{escape(title)}</a>' for name, title, _ in shown)
-    bodies = "".join(f'<section id="{name}"><h2>{escape(title)}</h2>{body}</section>' for name, title, body in shown)
+    return fill(
+        title=str(summary["title"] or "aerotube results"),
+        lead=(
+            f"{summary['beats']} beats in {summary['horizon_s']:g} s; {summary['seeds']} seeds of "
+            f"{summary['runs_per_seed']} runs each; computed {dataset.attrs.get('created', '')} "
+            f"with aerotube {dataset.attrs.get('aerotube_version', '')}."
+        ),
+        sections=sections,
+        version=str(dataset.attrs.get("aerotube_version", "")),
+        notice=_notice(summary),
+        cards=_cards(summary),
+    )
+
+
+def fill(
+    title: str, lead: str, sections: Sequence[tuple[str, str, str]], version: str, notice: str = "", cards: str = ""
+) -> str:
+    """Fill the page's template.
+
+    Parameters
+    ----------
+    title, lead, version : str
+        Plain text.
+    sections : sequence of (str, str, str)
+        Anchor, title (plain text) and body (HTML) of each; those without a body are left out.
+    notice, cards : str
+        HTML.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    shown = [one for one in sections if one[2]]
+    links = "".join(f'<a href="#{name}">{escape(words)}</a>' for name, words, _ in shown)
+    bodies = "".join(f'<section id="{name}"><h2>{escape(words)}</h2>{body}</section>' for name, words, body in shown)
     drawn = any("plotly-graph-div" in body for _, _, body in shown)
     template = Template(resources.files("aerotube.report").joinpath("page.html").read_text(encoding="utf-8"))
     return template.substitute(
-        version=escape(str(dataset.attrs.get("aerotube_version", ""))),
-        title=escape(str(summary["title"] or "aerotube results")),
-        lead=(
-            f"{summary['beats']} beats in {summary['horizon_s']:g} s; {summary['seeds']} seeds of "
-            f"{summary['runs_per_seed']} runs each; computed {escape(str(dataset.attrs.get('created', '')))} "
-            f"with aerotube {escape(str(dataset.attrs.get('aerotube_version', '')))}."
-        ),
-        notice=_notice(summary),
-        cards=_cards(summary),
+        version=escape(version),
+        title=escape(title),
+        lead=escape(lead),
+        notice=notice,
+        cards=cards,
         sections=f"<nav>{links}</nav>{bodies}",
         script=f"<script>{interactive.plotly_script()}</script>" if drawn else "",
     )
@@ -218,9 +247,12 @@ def _aircraft(figures: Mapping[str, Path]) -> str:
 
 
 def _picture(figures: Mapping[str, Path], name: str, caption: str) -> str:
-    if name not in figures:
-        return ""
-    data = base64.b64encode(figures[name].read_bytes()).decode()
+    return picture(figures[name], caption) if name in figures else ""
+
+
+def picture(path: Path, caption: str) -> str:
+    """Embed a PNG with its caption (plain text): HTML."""
+    data = base64.b64encode(path.read_bytes()).decode()
     words = escape(caption)
     return f'<figure><img alt="{words}" src="data:image/png;base64,{data}"><figcaption>{words}</figcaption></figure>'
 
