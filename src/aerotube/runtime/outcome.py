@@ -1,0 +1,143 @@
+"""What a flight comes to: tracking, deadlines, latency, real-time factor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerotube.dynamics.errors import euler_error
+from aerotube.flight.metrics import error_metric, mean_absolute_error, root_mean_square_error
+from aerotube.runtime.flight import Flown, nominal_of
+from aerotube.runtime.plant import GRACE
+from aerotube.runtime.record import WindowTimes
+from aerotube.runtime.watchdog import stolen
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Deadlines:
+    """Beats whose law or command was not there in time.
+
+    Attributes
+    ----------
+    missed : ndarray (g,) of bool
+    unexplained : ndarray (g,) of bool
+        Of these, those for which the machine stole less time than they were late.
+    lateness : ndarray (g,)
+        s; zero where nothing was late.
+    """
+
+    missed: NDArray[np.bool_]
+    unexplained: NDArray[np.bool_]
+    lateness: Array
+
+
+def errors_flown(flown: Flown) -> Array | None:
+    """True errors (manoeuvre, T + 1, 8) of the manoeuvres flown to their end; None without the aircraft's log."""
+    truth = flown.truth
+    if truth is None or not truth.flown_manoeuvres:
+        return None
+    nominal = nominal_of(flown.record, truth.flown_manoeuvres, flown.world.beats)
+    return euler_error(truth.states[..., :13], nominal)
+
+
+def deadlines(flown: Flown) -> Deadlines:
+    """Which beats missed their deadline, and whether the machine is to blame.
+
+    A beat has missed its deadline if its window of laws was not there when its measurement was, or if its command
+    was not with the aircraft within `GRACE` of the beat (by the aircraft's own log where there is one). Measurements
+    that injected faults took away are not counted here.
+    """
+    record, length = flown.record, _beat_seconds(flown)
+    count = record.flown
+    late_law = record.law_late[:count].copy()
+    lateness = np.zeros(count)
+    windows = window_of(flown)
+    for g in np.flatnonzero(late_law):
+        window = windows.get(int(g))
+        done = window.done if window is not None and np.isfinite(window.done) else np.inf
+        lateness[g] = max(done - record.sent[g], 0.0) if np.isfinite(record.sent[g]) else np.inf
+    late_command = np.zeros(count, bool)
+    if np.isfinite(flown.options.speed):
+        with np.errstate(invalid="ignore"):
+            over = record.sent[:count] - (record.due[:count] + GRACE * length)
+        late_command = ~(over <= 0)
+        if flown.truth is not None:
+            taken = flown.truth.taken.reshape(-1)[:count]
+            late_command[: len(taken)] |= taken != 0
+        if flown.faults is not None:
+            spoiled = [g for g in flown.faults.by_beat if g < count]
+            late_command[spoiled] &= over[spoiled] > 0
+        lateness[late_command] = np.maximum(lateness, np.nan_to_num(over, nan=length))[late_command]
+    missed = late_law | late_command
+    unexplained = np.zeros(count, bool)
+    for g in np.flatnonzero(missed):
+        window = windows.get(int(g))
+        begin = record.due[g] - length
+        if late_law[g] and window is not None:
+            begin = min(begin, window.asked)
+        end = np.nanmax([record.sent[g], record.due[g] + length])
+        theft = stolen(flown.thefts, begin, end)
+        unexplained[g] = not (theft > 0 and theft >= lateness[g])
+    return Deadlines(missed, unexplained, lateness)
+
+
+def _beat_seconds(flown: Flown) -> float:
+    return flown.world.dt / flown.options.speed if np.isfinite(flown.options.speed) else 0.0
+
+
+def window_of(flown: Flown) -> dict[int, WindowTimes]:
+    """The window that holds each beat."""
+    return {g: window for window in flown.record.windows for g in range(window.first, window.first + window.beats)}
+
+
+def realtime_factor(flown: Flown) -> float | None:
+    """Seconds of flight that the windows hold, over the seconds that computing them took; None without windows."""
+    done = [w for w in flown.record.windows if np.isfinite(w.done) and not w.error]
+    if not done:
+        return None
+    taken = sum(w.done - w.started for w in done)
+    return float(sum(w.beats for w in done) * flown.world.dt / taken)
+
+
+def latency(flown: Flown) -> Array:
+    """From a measurement's arrival to its command, s, of the beats that had both."""
+    record = flown.record
+    spans = record.sent[: record.flown] - record.arrived[: record.flown]
+    return np.asarray(spans[np.isfinite(spans)])
+
+
+def summarise(flown: Flown) -> dict[str, Any]:
+    """The contents of ``fly.json``.
+
+    Returns
+    -------
+    dict
+        ``beats``; ``missed_deadlines`` and, of them, ``missed_unexplained``; ``fallbacks`` by kind (beats); ``mae``
+        and ``rmse`` of Eq. 18 over all manoeuvres, without compensation and with it; ``latency_us`` from measurement
+        to command; ``realtime_factor`` of the window computation. None where a figure does not exist.
+    """
+    missed = deadlines(flown)
+    with_law = errors_flown(flown)
+    figures: dict[str, dict[str, float | None]] = {"mae": {}, "rmse": {}}
+    for name, errors in (("none", flown.alone), ("compensated", with_law)):
+        for key, function in (("mae", mean_absolute_error), ("rmse", root_mean_square_error)):
+            value = None if errors is None else float(function(error_metric(errors).reshape(-1)))
+            figures[key][name] = value if value is not None and np.isfinite(value) else None
+    spans = 1e6 * latency(flown)
+    return {
+        "beats": int(flown.record.flown),
+        "missed_deadlines": int(missed.missed.sum()),
+        "missed_unexplained": int(missed.unexplained.sum()),
+        "fallbacks": flown.record.fallbacks(),
+        **figures,
+        "latency_us": {
+            "median": float(np.median(spans)) if len(spans) else None,
+            "p99": float(np.percentile(spans, 99)) if len(spans) else None,
+        },
+        "realtime_factor": realtime_factor(flown),
+    }

@@ -1,0 +1,312 @@
+"""The controller's side: takes measurements, flies the best law that is there, and has the next window computed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerotube.flight.estimator import ExtendedKalmanFilter
+from aerotube.nominal import Nominal
+from aerotube.runtime.commander import Beat, Commander
+from aerotube.runtime.faults import Faults
+from aerotube.runtime.guidance import Guidance
+from aerotube.runtime.messages import Kind, Message, Rung
+from aerotube.runtime.record import Record, WindowTimes
+from aerotube.runtime.session import Session
+from aerotube.runtime.windows import Laws, Task, compute
+from aerotube.runtime.workers import Job, Workers
+
+Array = NDArray[np.float64]
+
+#: Share of a beat after which a measurement that has not come is done without.
+WAIT = 0.15
+_HEARTBEAT = 10  # beats between heartbeats
+_GONE = 10.0  # s without a measurement after which the aircraft is taken to be gone
+
+Flown = tuple[Array, NDArray[np.int64], Array]  # gains, rungs and sizes of a beat
+
+
+class Pilot:
+    """Flies one session.
+
+    Parameters
+    ----------
+    session : Session
+        With the aircraft.
+    task : Task
+    guidance : Guidance
+    commander : Commander
+    workers : Workers
+    beats : int
+        To fly, all manoeuvres together.
+    speed : float
+        Seconds of flight for one of the clock; infinite: no clock, every law is waited for.
+    estimator : ExtendedKalmanFilter, optional
+        The commander's, about the planned nominal.
+    faults : Faults, optional
+        That hit the workers.
+
+    Attributes
+    ----------
+    record : Record
+    stop : threading.Event
+        Set from outside, ends the flight after the beat.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        task: Task,
+        guidance: Guidance,
+        commander: Commander,
+        workers: Workers,
+        beats: int,
+        speed: float,
+        estimator: ExtendedKalmanFilter | None = None,
+        faults: Faults | None = None,
+    ) -> None:
+        self.session, self.task, self.guidance = session, task, guidance
+        self.commander, self.workers, self.faults = commander, workers, faults
+        self.beats, self.speed = beats, speed
+        self.horizon = guidance.planned.beats
+        self.length = guidance.planned.dt / speed if np.isfinite(speed) else 0.0
+        self.record = Record(beats, 16, len(task.settings.parts))
+        self.stop = threading.Event()
+        self._estimator = estimator
+        self._nominal = guidance.planned
+        self._windows = [
+            (m * self.horizon + first, min(task.window, self.horizon - first))
+            for m in range(-(-beats // self.horizon))
+            for first in range(0, self.horizon, task.window)
+        ]
+        self._asked = 0
+        self._needed: dict[int, int] = {}
+        self._planned: dict[int, Flown] = {}
+        self._held: dict[int, Flown] = {}
+        self._lqr: dict[int, Array] = {}
+        self._nominals: dict[int, Nominal] = {}
+        self._memory: dict[int, Laws] = {}
+        self._offset = np.inf
+        self._heard = np.inf
+
+    @property
+    def clocked(self) -> bool:
+        """Whether there is a clock."""
+        return np.isfinite(self.speed)
+
+    def prepare(self) -> float:
+        """Compute the first window, before take-off; seconds it took."""
+        clock = time.perf_counter()
+        self._ask()
+        while 0 not in self._planned and self._asked <= 1 and not self._collect(1.0):
+            pass
+        return time.perf_counter() - clock
+
+    def fly(self) -> None:
+        """Fly until the last beat, goodbye, or `stop`."""
+        if not self._meet():
+            return
+        beat, early = 0, None
+        while beat < self.beats and not self.stop.is_set():
+            message, over = self._await(beat, early)
+            early = None
+            if over:
+                break
+            if message is not None and message.beat > beat:
+                # measurements of the beats between are lost, and their commands would be too late
+                while beat < min(message.beat, self.beats):
+                    self._skip(beat)
+                    beat += 1
+                early = message
+                continue
+            self._beat(beat, message)
+            beat += 1
+        self.session.send(Kind.GOODBYE)
+        self.record.refused.update(self.session.refused)
+        self.record.events += self.workers.events
+
+    def _meet(self) -> bool:
+        """Answer the aircraft's hello; False if none comes."""
+        while not self.stop.is_set():
+            message = self.session.receive(0.25)
+            if message is not None and message.kind == Kind.HELLO:
+                lock = getattr(self.session.channel, "lock", None)
+                if lock is not None:
+                    lock()
+                self.session.send(Kind.HELLO, values=message.values)
+                return True
+            if message is not None and message.kind == Kind.GOODBYE:
+                return False
+        return False
+
+    def _due(self, beat: int) -> float:
+        return self._offset + beat * self.length
+
+    def _await(self, beat: int, early: Message | None) -> tuple[Message | None, bool]:
+        """The measurement of a beat (or of a later one), or none in time; whether the session is over."""
+        if early is not None:
+            return early, False
+        while True:
+            now = time.monotonic()
+            known = self.clocked and np.isfinite(self._offset)
+            until = self._due(beat) + WAIT * self.length if known else now + _GONE
+            message = self.session.receive(max(until - now, 0.0))
+            if message is None:
+                quiet = now - self._heard > _GONE
+                return None, not known or quiet
+            self._heard = time.monotonic()
+            if message.kind == Kind.GOODBYE:
+                return None, True
+            if message.kind == Kind.HELLO:  # our answer was lost, or it asks again
+                self.session.send(Kind.HELLO, values=message.values)
+            if message.kind == Kind.MEASUREMENT:
+                if message.beat >= beat:
+                    self._offset = min(self._offset, self._heard - message.beat * self.length)
+                    return message, False
+                self.record.refused["too late"] += 1
+
+    def _beat(self, beat: int, message: Message | None) -> None:
+        """One beat: from the measurement to the command, and then whatever can wait."""
+        record, commander = self.record, self.commander
+        arrived = time.monotonic()
+        number = beat % self.horizon
+        if number == 0:
+            commander.begin()
+        if beat not in self._planned:
+            self._collect(0.0 if self.clocked else 60.0, beat)
+        gains, rungs, size, late = self._best(beat)
+        nominal = self._nominals.get(beat, self._nominal)
+        flown = Beat(
+            nominal.states[number],
+            nominal.controls[number],
+            gains,
+            Rung(int(rungs.max())),
+            nominal.states[number + 1],
+        )
+        measured = None
+        if message is not None:
+            state = np.array(message.values[: len(commander.aircraft.state_names)])
+            if commander.believes(state, flown):
+                measured = state
+            else:
+                record.refused["unlikely" if np.isfinite(state).all() else "not finite"] += 1
+        if self._estimator is not None:
+            commander.estimator = replace(self._estimator, nominal=nominal)
+        command = commander.command(number, measured, flown)
+        self.session.send(Kind.COMMAND, beat, tuple(command.control.tolist()), int(command.rung))
+        sent = time.monotonic()
+        commander.after(number, flown, command.control)
+        record.put(beat, command, rungs, size, measured)
+        record.gains[beat], record.law_late[beat] = gains, late
+        record.nominal_state[beat], record.nominal_end[beat] = flown.nominal_state[:13], flown.next_state[:13]
+        record.nominal_control[beat] = flown.nominal_control
+        record.due[beat] = self._due(beat) if self.clocked else arrived
+        record.arrived[beat] = arrived if message is not None else np.nan
+        record.sent[beat] = sent
+        self._afterwards(beat)
+
+    def _skip(self, beat: int) -> None:
+        """A beat whose measurement and moment have passed."""
+        self.record.due[beat] = self._due(beat)
+        self.record.flown = beat + 1
+        number = beat % self.horizon
+        nominal = self._nominals.get(beat, self._nominal)
+        self.record.nominal_state[beat] = nominal.states[number][:13]
+        self.record.nominal_end[beat] = nominal.states[number + 1][:13]
+        self.record.nominal_control[beat] = nominal.controls[number]
+        self._afterwards(beat)
+
+    def _best(self, beat: int) -> tuple[Array, NDArray[np.int64], Array, bool]:
+        """Down the ladder: gains, rungs, sizes, and whether the beat's window is late."""
+        parts = len(self.task.settings.parts)
+        found = self._planned.get(beat)
+        if found is not None:
+            return *found, False
+        found = self._held.get(beat)
+        if found is not None:
+            return *found, True
+        nothing = np.full(parts, np.nan)
+        if beat in self._lqr:
+            return self._lqr[beat], np.full(parts, int(Rung.LQR)), nothing, True
+        return np.zeros((4, 8)), np.full(parts, int(Rung.NOMINAL)), nothing, True
+
+    def _afterwards(self, beat: int) -> None:
+        """Ask for the next window, take in what is done, look after the workers."""
+        self.workers.supervise()
+        self._collect(0.0)
+        if self._asked < len(self._windows) and beat >= self._windows[self._asked - 1][0]:
+            self._ask()
+        for store in (self._planned, self._held, self._lqr, self._nominals):
+            store.pop(beat - 1, None)
+        if beat % _HEARTBEAT == 0:
+            self.session.send(Kind.HEARTBEAT, beat)
+
+    def _ask(self) -> None:
+        """Decide on the nominal of the next window and have its laws computed."""
+        start, count = self._windows[self._asked]
+        manoeuvre, first = divmod(start, self.horizon)
+        nominal = self.guidance.update(manoeuvre, first)
+        for beat in range(start, (manoeuvre + 1) * self.horizon):
+            self._nominals[beat] = nominal
+        lead = np.inf
+        if self.clocked and self._asked:
+            lead = self._windows[self._asked - 1][1] * self.length
+        programs = len(self.task.settings.parts) * count / (self.task.reuse + 1)
+        work = partial(
+            compute,
+            self.task,
+            nominal,
+            range(first, first + count),
+            before=self._memory.get(first),
+            deadline=max(lead * self.task.workers / (1.5 * programs), 1e-3) if np.isfinite(lead) else None,
+        )
+        job = Job(
+            start,
+            self.faults.wrap(work) if self.faults is not None and self._asked else work,
+            patience=max(0.6 * lead, 0.02) if np.isfinite(lead) else np.inf,
+        )
+        self._asked += 1
+        self.workers.submit(job)
+
+    def _collect(self, timeout: float, wanted: int | None = None) -> bool:
+        """Take in finished windows; with a wanted beat, wait for the one that holds it."""
+        until = time.monotonic() + timeout
+        while True:
+            done = self.workers.finished()
+            for job in done:
+                self._install(job)
+            if wanted is not None and wanted not in self._planned and time.monotonic() < until:
+                waiting = any(w.first <= wanted < w.first + w.beats for w in self.record.windows)
+                if not waiting:
+                    self.workers.supervise()
+                    time.sleep(1e-3)
+                    continue
+            if done or time.monotonic() >= until:
+                return bool(done)
+            self.workers.supervise()
+            time.sleep(1e-3)
+
+    def _install(self, job: Job) -> None:
+        """Put the laws of a window where the beats will look for them."""
+        start = int(str(job.key))
+        manoeuvre, first = divmod(start, self.horizon)
+        count = next(beats for at, beats in self._windows if at == start)
+        times = WindowTimes(start, count, job.asked, job.started, job.done, start, job.attempts, error=job.error)
+        self.record.windows.append(times)
+        laws: Laws | None = job.result
+        if laws is None:
+            return
+        times.designed, times.kept, times.seconds = laws.designed, int(laws.kept.sum()), laws.seconds
+        self.record.events += [(job.done, message) for message in laws.messages]
+        self._memory[first] = laws
+        for j, beat in enumerate(laws.beats + manoeuvre * self.horizon):
+            store = self._planned if j < laws.window else self._held
+            if j < laws.window or (laws.rungs[j] <= Rung.LAST).all():
+                store[int(beat)] = (laws.gains[j], laws.rungs[j], laws.size[j])
+        for j, gain in enumerate(laws.lqr):
+            self._lqr[start + j] = gain

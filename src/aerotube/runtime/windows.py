@@ -1,0 +1,356 @@
+"""Laws for a window of beats: designed, certified, and completed down the ladder where there is none.
+
+Everything that is flown is measured first: by a size program for every beat and part, on the nominal that will be
+flown. The same measurement decides what else may be flown there:
+
+* a law stopped at the solver's deadline, if its size is certified;
+* the law of an earlier beat (asked for by a reuse, or because a beat has none of its own), if its certified size is
+  no larger than that of the nominal alone and it keeps the controls within their limits;
+* the law that the last manoeuvre flew at the same beat, if the nominal has moved by no more than it tolerates: its
+  certified size on the new nominal is at most a stated factor of its size where it was made, in the same metric, and
+  it keeps the controls within their limits there. Then nothing is designed anew (event-triggered recomputation).
+
+Sizes are those of :func:`aerotube.compensation.certified_size`, and worth what it says.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerotube.aircraft.base import Aircraft
+from aerotube.compensation import Design, LinearLaw, SynthesisSettings, certified_size, design
+from aerotube.compensation.design import available_increments
+from aerotube.dynamics.errors import ErrorCoordinates
+from aerotube.flight.lqr import time_varying_lqr
+from aerotube.nominal import Nominal
+from aerotube.runtime.messages import Rung
+from aerotube.tube import DisturbanceBox, tracking_weights
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What every window is computed from.
+
+    Attributes
+    ----------
+    aircraft : Aircraft
+        The model that laws are computed on.
+    disturbance : DisturbanceBox
+    settings : SynthesisSettings
+    window : int
+        Beats of a window.
+    reuse : int
+        Beats that a law serves beyond its own.
+    around : int
+        Beats before and after the window that the forecast of errors and costs looks at; the numbers are those of
+        the whole manoeuvre where it is no longer than that.
+    validity : int
+        Beats after a window for which its last law is measured, in case the next window is late.
+    tolerance : float or None
+        Event-triggered: largest growth of a kept law's certified size, as a share of it. None: all is designed.
+    workers : int
+        Threads that solve.
+    """
+
+    aircraft: Aircraft
+    disturbance: DisturbanceBox
+    settings: SynthesisSettings
+    window: int = 16
+    reuse: int = 0
+    around: int = 60
+    validity: int = 3
+    tolerance: float | None = None
+    workers: int = 2
+
+    @property
+    def coordinates(self) -> ErrorCoordinates:
+        """In which the laws are given the error."""
+        return ErrorCoordinates(self.settings.attitude)
+
+
+@dataclass(frozen=True)
+class Laws:
+    """Laws of some beats.
+
+    Attributes
+    ----------
+    beats : ndarray (b,) of int
+        Of the window, and behind them those for which the last law was measured too.
+    window : int
+        How many of them are the window's own.
+    gains : ndarray (b, 4, 8)
+    rungs : ndarray (b, parts) of int
+        What stands behind each part of them, see `Rung`; for the beats behind the window, of the last law there.
+    size : ndarray (b, parts)
+        Certified; NaN where the part flies something that is not certified.
+    metric : tuple of ndarray (b, n, n)
+        In which the size of each part is measured.
+    lqr : ndarray (b', 4, 8)
+        Gains of the regulator from the first beat of the window to the end of the look-ahead.
+    kept : ndarray (b,) of bool
+        Beats whose law is the last manoeuvre's, checked and found to hold.
+    made : ndarray (b, parts)
+        Certified sizes where the laws were designed; kept ones may have grown since.
+    designed : int
+        Programs of a law that were solved.
+    seconds : dict of float
+        Wall-clock time by what was done.
+    messages : tuple of str
+    """
+
+    beats: NDArray[np.intp]
+    window: int
+    gains: Array
+    rungs: NDArray[np.int64]
+    size: Array
+    metric: tuple[Array, ...]
+    lqr: Array
+    kept: NDArray[np.bool_]
+    made: Array
+    designed: int
+    seconds: dict[str, float] = field(default_factory=dict)
+    messages: tuple[str, ...] = ()
+
+
+def compute(
+    task: Task,
+    nominal: Nominal,
+    beats: range,
+    *,
+    before: Laws | None = None,
+    deadline: float | None = None,
+) -> Laws:
+    """Compute the laws of a window.
+
+    Parameters
+    ----------
+    task : Task
+    nominal : Nominal
+        The whole manoeuvre as it will be flown.
+    beats : range
+        The window.
+    before : Laws, optional
+        Of the same beats of the manoeuvre before, for event-triggered recomputation.
+    deadline : float, optional
+        Seconds that the solver has for each program.
+
+    Returns
+    -------
+    Laws
+
+    Raises
+    ------
+    InputError, ComputationError
+        As :func:`aerotube.compensation.design` does.
+    """
+    seconds: dict[str, float] = {}
+    first = max(beats.start - task.around, 0)
+    last = min(beats.stop + max(task.around, task.validity), nominal.beats)
+    cut = Nominal(nominal.dt, nominal.states[first : last + 1], nominal.controls[first:last])
+    own = np.arange(beats.start, beats.stop) - first
+    behind = np.arange(beats.stop, min(beats.stop + task.validity, nominal.beats)) - first
+    clock = time.perf_counter()
+    kept, sized = np.zeros(len(own), bool), np.empty((0, 0))
+    if task.tolerance is not None and before is not None and len(before.gains) >= len(own):
+        kept, sized = still_valid(task, cut, own, before)
+        seconds["check"] = time.perf_counter() - clock
+        clock = time.perf_counter()
+    fresh = np.flatnonzero(~kept)[:: task.reuse + 1] if task.reuse else np.flatnonzero(~kept)
+    made = None
+    if len(fresh):
+        made = _design(task, cut, own[fresh], deadline)
+        seconds["design"] = time.perf_counter() - clock
+        clock = time.perf_counter()
+    laws = _assemble(task, cut, own, behind, fresh, kept, sized, made, before)
+    seconds["certify"] = time.perf_counter() - clock
+    return Laws(
+        beats=np.concatenate([own, behind]) + first,
+        window=len(own),
+        designed=len(fresh) * len(task.settings.parts),
+        seconds=seconds,
+        messages=() if made is None else tuple(made.messages),
+        **laws,
+    )
+
+
+def still_valid(task: Task, nominal: Nominal, beats: NDArray[np.intp], before: Laws) -> tuple[NDArray[np.bool_], Array]:
+    """Where the laws of the manoeuvre before hold on a new nominal, by the rule of the module's text.
+
+    Returns
+    -------
+    holds : ndarray (b,) of bool
+    size : ndarray (b, parts)
+        Certified there; NaN where it was not worth asking.
+    """
+    assert task.tolerance is not None
+    count = len(beats)
+    gains = np.zeros((nominal.beats, 4, 8))
+    gains[beats] = before.gains[:count]
+    certified = np.asarray(np.isfinite(before.made[:count]).all(1) & (before.rungs[:count] <= Rung.LAST).all(1))
+    if not certified.any():
+        return certified, np.full((count, len(task.settings.parts)), np.nan)
+    metric = tuple(shape[:count] for shape in before.metric)
+    size = _sizes(task, nominal, beats, gains, metric)
+    tolerated = (size <= (1.0 + task.tolerance) * before.made[:count]).all(1)
+    inside = _within_limits(task, nominal, beats, before.gains[:count]).all(1)
+    return np.asarray(certified & tolerated & inside), size
+
+
+def _design(task: Task, nominal: Nominal, beats: NDArray[np.intp], deadline: float | None) -> Design:
+    steps = np.diff(beats)
+    stride = int(steps[0]) if len(steps) else 1
+    even = bool((steps == stride).all())
+    wanted = range(int(beats[0]), int(beats[-1]) + 1, stride if even else 1)
+    return design(
+        task.aircraft,
+        nominal,
+        task.disturbance,
+        task.settings,
+        beats=wanted,
+        workers=task.workers,
+        deadline=deadline,
+    )
+
+
+def _assemble(
+    task: Task,
+    nominal: Nominal,
+    own: NDArray[np.intp],
+    behind: NDArray[np.intp],
+    fresh: NDArray[np.intp],
+    kept: NDArray[np.bool_],
+    sized: Array,
+    made: Design | None,
+    before: Laws | None,
+) -> dict[str, Any]:
+    """Laws of all beats, each measured, and completed by the regulator where nothing is certified."""
+    parts, beats = task.settings.parts, np.concatenate([own, behind])
+    count = len(beats)
+    gains = np.zeros((nominal.beats, 4, 8))
+    rungs = np.full((count, len(parts)), int(Rung.LAST))
+    origin = np.full((count, len(parts)), -1)
+    if before is not None and kept.any():
+        where = np.flatnonzero(kept)
+        gains[own[where]] = before.gains[where]
+        rungs[where], origin[where] = before.rungs[where], where[:, None]
+    if made is not None:
+        place = np.searchsorted(made.beats, own[fresh])
+        for i, part in enumerate(parts):
+            there = made.feasible[place, i] | made.stopped[place, i]
+            at = fresh[there]
+            rows = np.ix_(own[at], part.controls)
+            gains[rows] = made.law.gains[rows]
+            rungs[at, i] = np.where(made.feasible[place, i], Rung.PLANNED, Rung.ANYTIME)[there]
+            origin[at, i] = at
+    _hold(task, gains, rungs, origin, beats)
+    metric = _metric(task, nominal, beats, kept, made, before)
+    kept = np.concatenate([kept, np.zeros(len(behind), bool)])
+    size = np.empty((count, len(parts)))
+    size[kept], new = sized[kept[: len(own)]] if kept.any() else 0.0, np.flatnonzero(~kept)
+    if len(new):
+        size[new] = _sizes(task, nominal, beats[new], gains, tuple(shape[new] for shape in metric))
+    first_size = size.copy()
+    if before is not None and kept.any():
+        first_size[kept] = before.made[: len(own)][kept[: len(own)]]
+    lqr = np.zeros((nominal.beats, 4, 8)) if before is None else _padded(before.lqr, own[0], nominal.beats)
+    if made is not None:
+        lqr = time_varying_lqr(
+            task.aircraft, nominal, made.linearisation, task.coordinates, noise_weight=task.settings.noise_weight
+        ).gains
+    certified = np.isfinite(size)
+    held = np.flatnonzero((rungs == Rung.LAST).any(1))
+    if len(held):
+        alone = _sizes(task, nominal, beats[held], None, tuple(shape[held] for shape in metric))
+        inside = _within_limits(task, nominal, beats[held], gains[beats[held]])
+        certified[held] &= (rungs[held] != Rung.LAST) | ((size[held] <= alone) & inside)
+    for i, part in enumerate(parts):
+        for j in np.flatnonzero(~certified[:, i]):
+            gains[beats[j], part.controls] = lqr[beats[j], part.controls]
+            rungs[j, i] = Rung.LQR if lqr[beats[j], part.controls].any() else Rung.NOMINAL
+    return {
+        "gains": gains[beats],
+        "rungs": rungs,
+        "size": np.where(certified, size, np.nan),
+        "metric": metric,
+        "lqr": lqr[own[0] :],
+        "kept": kept,
+        "made": np.where(certified, first_size, np.nan),
+    }
+
+
+def _hold(
+    task: Task, gains: Array, rungs: NDArray[np.int64], origin: NDArray[np.int64], beats: NDArray[np.intp]
+) -> None:
+    """Let beats without a law of their own hold the one before them; within a reuse, that is the plan."""
+    for i, part in enumerate(task.settings.parts):
+        for j in range(1, len(beats)):
+            if origin[j, i] >= 0 or origin[j - 1, i] < 0:
+                continue
+            source = origin[j, i] = origin[j - 1, i]
+            gains[beats[j], part.controls] = gains[beats[source], part.controls]
+            planned = j - source <= task.reuse and j < len(beats)
+            rungs[j, i] = rungs[source, i] if planned and rungs[source, i] != Rung.LAST else Rung.LAST
+
+
+def _metric(
+    task: Task,
+    nominal: Nominal,
+    beats: NDArray[np.intp],
+    kept: NDArray[np.bool_],
+    made: Design | None,
+    before: Laws | None,
+) -> tuple[Array, ...]:
+    """Metric of every beat: the design's, the kept law's, or else that of the nearest beat before that has one."""
+    found = []
+    weights = tracking_weights(nominal.states, task.coordinates)
+    for i, part in enumerate(task.settings.parts):
+        shape = weights[beats + 1][:, part.errors][:, :, part.errors].copy()
+        known = np.zeros(len(beats), bool)
+        if before is not None and kept.any():
+            where = np.flatnonzero(kept)
+            shape[where], known[where] = before.metric[i][where], True
+        if made is not None:
+            common, mine, theirs = np.intersect1d(beats, made.beats, return_indices=True)
+            new = ~known[mine]
+            shape[mine[new]], known[mine] = made.metric[i][theirs[new]], True
+            del common
+        for j in np.flatnonzero(~known):
+            if j:
+                shape[j] = shape[j - 1]
+        found.append(shape)
+    return tuple(found)
+
+
+def _sizes(
+    task: Task, nominal: Nominal, beats: NDArray[np.intp], gains: Array | None, metric: tuple[Array, ...]
+) -> Array:
+    law = None if gains is None else LinearLaw(gains, task.coordinates)
+    return certified_size(
+        task.aircraft, nominal, task.disturbance, law, metric, task.settings, beats=beats, workers=task.workers
+    )
+
+
+def _within_limits(task: Task, nominal: Nominal, beats: NDArray[np.intp], gains: Array) -> NDArray[np.bool_]:
+    """Whether each part's law keeps its controls within their limits on the disturbance box: (b, parts)."""
+    settings, coordinates = task.settings, task.coordinates
+    seen = coordinates.box(nominal.states[beats], (1.0 + settings.measurement_error) * task.disturbance.half_widths)
+    lower, upper = available_increments(
+        task.aircraft, nominal.states[beats], nominal.controls[beats], coordinates, seen
+    )
+    limit = np.minimum(-lower, upper)
+    inside = np.sum(np.abs(gains) * seen[:, None, :], axis=-1) <= (1.0 + 1e-6) * limit + 1e-12
+    return np.stack([inside[:, part.controls].all(1) for part in settings.parts], axis=1)
+
+
+def _padded(gains: Array, first: int, beats: int) -> Array:
+    out = np.zeros((beats, 4, 8))
+    count = min(len(gains), beats - first)
+    out[first : first + count] = gains[:count]
+    return out
