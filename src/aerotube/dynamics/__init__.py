@@ -1,6 +1,6 @@
 """From an aircraft to a step: the Runge-Kutta step map, error coordinates, the error map of a beat and its bounds."""
 
-from aerotube.dynamics.enclosure import BeatSet, ErrorEnclosure, beat_set, enclose_error_map, linear_law
+from aerotube.dynamics.enclosure import BeatSet, ErrorEnclosure, beat_set, enclose_error_map, linear_law, polynomial_law
 from aerotube.dynamics.error_map import Linearisation, TaylorMap, error_map, linearise, taylor_map
 from aerotube.dynamics.errors import (
     ERROR_NAMES,
@@ -10,6 +10,7 @@ from aerotube.dynamics.errors import (
     ErrorCoordinates,
     euler_error,
 )
+from aerotube.dynamics.flown_map import flown_map
 from aerotube.dynamics.remainder import Excess, SizeSamples, excess, graded_sizes, size_samples
 from aerotube.dynamics.step import rk4, step, step_components
 
@@ -30,9 +31,11 @@ __all__ = [
     "error_map",
     "euler_error",
     "excess",
+    "flown_map",
     "graded_sizes",
     "linear_law",
     "linearise",
+    "polynomial_law",
     "rk4",
     "size_samples",
     "step",

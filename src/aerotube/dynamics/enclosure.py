@@ -85,9 +85,9 @@ def beat_set(
     parameter_names : sequence of str, length p
     parameter_ranges : ndarray (p, 2)
         Lower and upper ends.
-    measurement : array (8,), optional
+    measurement : array (8,) or (b, 8), optional
         Largest measurement error of each error component; a component without one is measured exactly.
-    wind : array (6,), optional
+    wind : array (6,) or (b, 6), optional
         Largest wind of each component, m/s and rad/s.
 
     Returns
@@ -100,7 +100,7 @@ def beat_set(
     names += [parameter_names[i] for i in uncertain]
     boxes = {"measurement": measurement, "wind": wind}
     given = {name: np.asarray(box, dtype=float) for name, box in boxes.items() if box is not None}
-    spread = [(name, i, float(reach)) for name, box in given.items() for i, reach in enumerate(box) if reach != 0.0]
+    spread = [(name, i, box[..., i]) for name, box in given.items() for i in range(box.shape[-1]) if box[..., i].any()]
     names += [f"{name} {i}" for name, i, _ in spread]
     balls += [1] * (len(uncertain) + len(spread))
     total, beats = sum(balls), len(parts[0][2])
@@ -114,7 +114,7 @@ def beat_set(
         # a little more than half the width, so that rounding leaves no end out
         reach[i, column] = 0.5 * (ranges[i, 1] - ranges[i, 0]) + 4e-16 * np.abs(ranges[i]).max()
         column += 1
-    tables = {name: np.zeros((beats, len(box), total)) for name, box in given.items()}
+    tables = {name: np.zeros((beats, box.shape[-1], total)) for name, box in given.items()}
     for name, i, size in spread:
         tables[name][:, i, column] = size
         column += 1
@@ -127,6 +127,50 @@ def linear_law(gains: Array) -> ComponentLaw:
     def increments(error: Sequence[Any]) -> Sequence[Any]:
         used = [[j for j in range(8) if gains[:, i, j].any()] for i in range(4)]
         return [sum((gains[:, i, j] * error[j] for j in used[i]), np.zeros(len(gains))) for i in range(4)]
+
+    return increments
+
+
+def polynomial_law(coefficients: Array, exponents: NDArray[np.int64], room: Array | None = None) -> ComponentLaw:
+    """Polynomial law of a batch of beats on components.
+
+    Parameters
+    ----------
+    coefficients : ndarray (b, 4, M)
+    exponents : ndarray (M, 8)
+        Powers of the eight errors in each monomial, of total degree one at least.
+    room : ndarray (b, 4, 2), optional
+        Least and largest increment, beyond which the law saturates.
+
+    Returns
+    -------
+    callable
+    """
+    powers = [tuple(int(p) for p in row) for row in exponents]
+    order = sorted(
+        (row for row in range(len(powers)) if coefficients[:, :, row].any()), key=lambda row: sum(powers[row])
+    )
+
+    def increments(error: Sequence[Any]) -> Sequence[Any]:
+        made: dict[tuple[int, ...], Any] = {}
+
+        def monomial(row: tuple[int, ...]) -> Any:
+            if row not in made:
+                last = max(i for i in range(8) if row[i])
+                rest = tuple(p - (i == last) for i, p in enumerate(row))
+                made[row] = error[last] if not any(rest) else monomial(rest) * error[last]
+            return made[row]
+
+        out = []
+        for i in range(coefficients.shape[1]):
+            total: Any = np.zeros(len(coefficients))
+            for row in order:
+                if coefficients[:, i, row].any():
+                    total = total + coefficients[:, i, row] * monomial(powers[row])
+            if room is not None:
+                total = np.minimum(np.maximum(total, room[:, i, 0]), room[:, i, 1])
+            out.append(total)
+        return out
 
     return increments
 

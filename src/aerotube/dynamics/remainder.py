@@ -24,6 +24,7 @@ from aerotube.numerics.taylor_model import SLACK, ModelSpace
 Array = NDArray[np.float64]
 
 _ROOT_TOLERANCE = 1e-9
+_CORNERS = 10  # intervals whose corners are all looked at
 _UNIT = 2.0**-53
 
 
@@ -39,8 +40,8 @@ class Excess:
         Terms in the errors of other parts, which the part's own polynomial takes as zero.
     parameters : ndarray (b,)
         Terms that are not affine in each parameter, so that its extremes need not be the worst.
-    disturbances : ndarray (b,)
-        Terms in measurement errors and wind.
+    measurement, gusts : ndarray (b,)
+        Terms in measurement errors, and terms in the wind and all else.
     coupling_size : ndarray (b,)
         Another bound of the same: what those terms add to the size itself, in which they need not line up with the
         part's own error as a norm must assume. `bound` takes whichever gives less.
@@ -53,8 +54,14 @@ class Excess:
     coupling: Array
     coupling_size: Array
     parameters: Array
-    disturbances: Array
+    measurement: Array
+    gusts: Array
     control: Array
+
+    @property
+    def disturbances(self) -> Array:
+        """Terms in measurement errors and wind (b,)."""
+        return np.asarray((self.measurement + self.gusts) * SLACK)
 
     @property
     def total(self) -> Array:
@@ -107,7 +114,10 @@ def excess(
     root, terms, rounding = _in_metric(enclosure.coefficients, metric, errors)
     own, elsewhere = enclosure.degree(part), enclosure.degree(*others)
     known = {part, *others, *parameters}
-    disturbed = enclosure.degree(*(name for name in enclosure.set.names if name not in known))
+    unknown = [name for name in enclosure.set.names if name not in known]
+    noises = [name for name in unknown if name.startswith("measurement")]
+    airs = [name for name in unknown if name not in noises]
+    disturbed, blown = enclosure.degree(*unknown), enclosure.degree(*airs)
     bent = np.zeros(enclosure.space.size, dtype=bool)
     for name in parameters:
         bent |= enclosure.degree(name) >= 2
@@ -123,9 +133,34 @@ def excess(
         coupling=norm(terms, rounding, (elsewhere > 0) & (disturbed == 0)),
         coupling_size=_coupling_size(enclosure, terms, rounding, alone, (elsewhere > 0) & (disturbed == 0)),
         parameters=norm(terms, rounding, bent & alone),
-        disturbances=norm(terms, rounding, disturbed > 0),
+        measurement=_disturbance(enclosure, terms, rounding, noises, (disturbed > 0) & (blown == 0)),
+        gusts=_disturbance(enclosure, terms, rounding, airs, blown > 0),
         control=control,
     )
+
+
+def _disturbance(
+    enclosure: ErrorEnclosure, terms: Array, rounding: Array, names: Sequence[str], mask: NDArray[np.bool_]
+) -> Array:
+    """Bound (b,) of the norm of some terms (b, n, size); the linear ones in intervals are largest at a corner."""
+    norm = _VectorNorm(enclosure.space)
+    columns = np.array(
+        [enclosure.set.columns(name).start for name in names if _length(enclosure, name) == 1], dtype=int
+    )
+    if not 1 < len(columns) <= _CORNERS:
+        return norm(terms, rounding, mask)
+    first = np.zeros(enclosure.space.size, dtype=bool)
+    first[1 + columns] = True
+    signs = np.array([(1.0, *s) for s in product((1.0, -1.0), repeat=len(columns) - 1)])
+    ends = np.linalg.norm(terms[:, :, 1 + columns] @ signs.T, axis=1).max(axis=1)
+    slip = np.linalg.norm(rounding[:, :, 1 + columns].sum(axis=2), axis=1)
+    slip += len(columns) * 4.0 * _UNIT * np.abs(terms[:, :, 1 + columns]).sum(axis=(1, 2))
+    return np.asarray((ends + slip) * (SLACK + _ROOT_TOLERANCE) + norm(terms, rounding, mask & ~first))
+
+
+def _length(enclosure: ErrorEnclosure, name: str) -> int:
+    columns = enclosure.set.columns(name)
+    return columns.stop - columns.start
 
 
 def _coupling_size(

@@ -1,0 +1,205 @@
+r"""Bounds of tubes from samples of the true map.
+
+The size of a tube, the largest :math:`x^{+T} E x^+` over a set, is estimated from below by everything that is tried:
+independent samples of the set, and ascents from the worst of them and from the worst points of the linearised map.
+Each step of an ascent goes to where the set supports the gradient, as suits the maximum of a nearly convex function
+over a product of balls (the Frank-Wolfe method with whole steps; a power method where the map is linear).
+
+What may be said of the largest value found, `FACTOR` times which is the bound: the samples being N independent draws
+from a distribution on the set, with confidence ``1 - (1 - s)^N`` the points whose size exceeds it have a share of at
+most s in that distribution, for each beat and part by itself (R. Tempo, E. W. Bai, F. Dabbene, "Probabilistic
+robustness analysis: explicit bounds for the minimum number of samples", Systems & Control Letters 30, 1997). Ascents
+and factor only make it larger; they are there so that a search much longer than this one finds nothing above it.
+
+The distribution: each ball (the part's errors, the other half's) by itself, uniform on its surface with probability one
+half and uniform inside otherwise; each interval (a parameter, a measurement error, a component of the wind) by itself,
+one of its ends with probability one half and uniform otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerotube.dynamics import BeatSet
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: What the largest size found is multiplied by.
+FACTOR = 1.003
+_LOCAL = 0.05  # length of a finite difference
+_STARTS, _DIRECTIONS, _STEPS = 6, 3, 8  # samples and principal directions to climb the fitted maps from
+_REFINEMENTS, _LOCAL_STEPS = 2, 2
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How many samples, and what they are worth.
+
+    Attributes
+    ----------
+    samples : int
+        Independent draws for each beat; the two halves share them.
+    confidence : float
+        Between 0 and 1.
+    seed : int
+    """
+
+    samples: int
+    confidence: float
+    seed: int
+
+    @property
+    def share(self) -> float:
+        """Largest share of the set, in the distribution of the samples, that may exceed a bound."""
+        return float(-np.expm1(np.log1p(-self.confidence) / self.samples))
+
+
+def draw(over: BeatSet, count: int, seed: int) -> Array:
+    """Independent samples of a set, in the distribution of the module's text: ndarray (count, k)."""
+    generator = np.random.default_rng(seed)
+    parts = []
+    for size in over.balls:
+        x = generator.standard_normal((count, size))
+        x /= np.linalg.norm(x, axis=1, keepdims=True)
+        radius = generator.random((count, 1)) ** (1.0 / size)
+        parts.append(x * np.where(generator.random((count, 1)) < 0.5, 1.0, radius))
+    return np.concatenate(parts, axis=1)
+
+
+def support(over: BeatSet, gradient: Array) -> Array:
+    """Points of the product of balls that are farthest along gradients (..., k); zero along a zero gradient."""
+    out, start = np.empty_like(gradient), 0
+    for size in over.balls:
+        own = gradient[..., start : start + size]
+        length = np.linalg.norm(own, axis=-1, keepdims=True)
+        out[..., start : start + size] = own / np.where(length > 0.0, length, 1.0)
+        start += size
+    return out
+
+
+class Search:
+    """A search for the worst points of the sets of a batch of beats.
+
+    Parameters
+    ----------
+    fly : callable
+        From points (b, u, k) to errors (b, u, 8) at the end of the beat.
+    over : BeatSet
+    sampling : Sampling
+
+    Attributes
+    ----------
+    points : ndarray (N, k)
+        The independent samples, the same for all beats.
+    ends : ndarray (b, N, 8)
+        Where they end.
+    """
+
+    def __init__(self, fly: Callable[[Array], Array], over: BeatSet, sampling: Sampling) -> None:
+        self.fly, self.over = fly, over
+        self.beats, _, self.size = over.error.shape
+        self.points = draw(over, sampling.samples, sampling.seed)
+        self.ends = fly(np.broadcast_to(self.points, (self.beats, *self.points.shape)))
+        self.sound = np.isfinite(self.ends).all(axis=(1, 2))
+        self.centre, self.slopes, self.bends = self._fit()
+
+    def _fit(self) -> tuple[Array, Array, Array]:
+        """Quadratic maps through the samples by least squares: (b, 8), (b, 8, k) and symmetric (b, 8, k, k).
+
+        Measurement errors and wind, of which there are many, enter linearly.
+        """
+        kinds = np.repeat([name.split(" ")[0] for name in self.over.names], self.over.balls)
+        curved = np.flatnonzero(~np.isin(kinds, ("measurement", "wind")))
+        rows, columns = (curved[i] for i in np.tril_indices(len(curved)))
+        z = self.points
+        features = np.concatenate([np.ones((len(z), 1)), z, z[:, rows] * z[:, columns]], axis=1)
+        ends = np.where(np.isfinite(self.ends), self.ends, 0.0)
+        found = np.linalg.lstsq(features, np.moveaxis(ends, 1, 0).reshape(len(z), -1), rcond=1e-9)[0]
+        found = np.moveaxis(found.reshape(features.shape[1], self.beats, 8), 0, 2)
+        bends = np.zeros((self.beats, 8, self.size, self.size))
+        bends[:, :, rows, columns] = found[..., 1 + self.size :]
+        return found[..., 0], found[..., 1 : 1 + self.size], bends + np.swapaxes(bends, 2, 3)
+
+    def largest(self, errors: Sequence[int], form: Array, free: Mask) -> tuple[Array, Array]:
+        """Largest ``x' form x`` found with some of the variables free, the others zero.
+
+        Parameters
+        ----------
+        errors : sequence of int, length n
+        form : ndarray (b, n, n)
+        free : bool (k,)
+
+        Returns
+        -------
+        value : ndarray (b,)
+            Infinite where some flight was not finite. If all variables are free, at least that of every sample.
+        point : ndarray (b, k)
+        """
+        own = list(errors)
+        sizes = _sizes(self.ends[..., own], form)
+        best = np.argsort(-sizes, axis=1)[:, :_STARTS]
+        worst = self.points[best] * free
+        found = _Best(np.full(self.beats, -np.inf), np.zeros((self.beats, self.size)))
+        if free.all():
+            found.take(np.take_along_axis(sizes, best, axis=1), worst)
+        points = self._worst_of_fit(worst, own, free, form)
+        found.take(_sizes(self.fly(points)[..., own], form), points)
+        for _ in range(_REFINEMENTS):
+            end, slopes = self._local(found.point, own, free)
+            for _ in range(_LOCAL_STEPS):
+                ahead = support(self.over, end @ form @ slopes)
+                end = self.fly(ahead)[..., own]
+                found.take(_sizes(end, form), ahead)
+        value = np.where(self.sound, found.value, np.inf)
+        return value, found.point
+
+    def _worst_of_fit(self, starts: Array, own: list[int], free: Mask, form: Array) -> Array:
+        """Worst points of the fitted maps, climbed to from given points and from principal directions: (b, s, k)."""
+        centre, bends = self.centre[:, None, own], self.bends[:, own] * np.outer(free, free)
+        slopes = self.slopes[:, own] * free
+        vectors = np.linalg.eigh(np.swapaxes(slopes, 1, 2) @ form @ slopes)[1][..., : -1 - _DIRECTIONS : -1]
+        principal = support(self.over, np.swapaxes(vectors, 1, 2))
+        points = np.concatenate([starts, principal, -principal], axis=1)
+        flat = bends.reshape(self.beats, -1, self.size)
+        for _ in range(_STEPS):
+            bent = (points @ np.swapaxes(flat, 1, 2)).reshape(*points.shape[:2], len(own), self.size)
+            ends = centre + points @ np.swapaxes(slopes, 1, 2) + 0.5 * np.einsum("bsik,bsk->bsi", bent, points)
+            gradient = (ends @ form)[:, :, None, :] @ (slopes[:, None] + bent)
+            points = support(self.over, gradient[:, :, 0])
+        return points
+
+    def _local(self, point: Array, own: list[int], free: Mask) -> tuple[Array, Array]:
+        """Values (b, 1, n) and slopes (b, n, k), over short steps inwards, of the map at points (b, k)."""
+        axes = np.flatnonzero(free)
+        reach = np.where(point > 0.0, -_LOCAL, _LOCAL)[:, axes]
+        moved = np.repeat(point[:, None], len(axes) + 1, axis=1)
+        moved[:, np.arange(len(axes)), axes] += reach
+        ends = self.fly(moved)[..., own]
+        slopes = np.zeros((self.beats, len(own), self.size))
+        slopes[:, :, axes] = np.swapaxes((ends[:, :-1] - ends[:, -1:]) / reach[..., None], 1, 2)
+        return ends[:, -1:], slopes
+
+
+class _Best:
+    """The worst point so far of each beat."""
+
+    def __init__(self, value: Array, point: Array) -> None:
+        self.value, self.point = value, point
+
+    def take(self, values: Array, points: Array) -> None:
+        """Keep what is worse among points (b, u, k); a value that is not finite is the worst."""
+        values = np.where(np.isfinite(values), values, np.inf)
+        best = np.argmax(values, axis=1)
+        rows = np.arange(len(values))
+        better = values[rows, best] > self.value
+        self.value = np.where(better, values[rows, best], self.value)
+        self.point = np.where(better[:, None], points[rows, best], self.point)
+
+
+def _sizes(ends: Array, form: Array) -> Array:
+    return np.asarray(np.sum((ends @ form) * ends, axis=-1))
