@@ -1,32 +1,36 @@
-"""A search that tries to break tubes: states inside the initial set that leave the terminal ellipsoid.
+"""A search that tries to break tubes: points of the initial set that leave the terminal one.
 
-Shares nothing with the synthesis but the aircraft and the error coordinates: the aircraft is flown for one beat as in
-flight (measured error, law, increments realised as controls within their limits, one step), from points chosen to do
-harm: random ones, the extreme points of every axis and of the disturbance box, and from the worst of these by ascent
-along finite-difference gradients, on the sets' boundaries.
+For each beat, points are chosen to do harm (`aerotube.verify.adversity` flies them): random ones, the ends of every
+axis and corners, the principal directions of the linearised beat, and from the worst of these by ascent along
+finite-difference gradients, on the sets' boundaries. What is found is a lower bound of what there is: a tube it does
+not break is not proved by it, but the ratio of the worst found to the bound says how tight the bound is at most.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerotube.aircraft.base import Aircraft
-from aerotube.compensation import Compensation, Part
-from aerotube.dynamics import ErrorCoordinates, step
+from aerotube.compensation import Compensation, Tubes
 from aerotube.errors import InputError
 from aerotube.nominal import Nominal
 from aerotube.tube import DisturbanceBox, ellipsoid, parameter_ranges
+from aerotube.verify.adversity import ERRORS, WIND, Adversity, BeatSpace
+from aerotube.verify.search import WorstPoints
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
-CHUNK = 20_000
-FIRST_STEP = 0.3
+#: The two shapes of a tube that are attacked: its size in the synthesis's metric, and its terminal ellipsoid.
+FORMS = ("size", "ellipsoid")
+
+#: Beyond this ratio a tube is broken; the rest is rounding.
+TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -35,94 +39,39 @@ class Falsification:
 
     Attributes
     ----------
-    ratio : ndarray (T, parts)
-        Largest size at the end of the beat over the tube's ``rho``: above one, the tube is broken. NaN where
-        there is no tube.
-    error : ndarray (T, parts, 8)
+    parts : tuple of str
+    ratio : ndarray (T, parts, 2)
+        Largest size at the end of the beat over the tube's, for each of `FORMS`: above one, the tube is broken. NaN
+        where there is no tube or it was not attacked.
+    error : ndarray (T, parts, 2, 8)
         The error at the start that does it, in the law's coordinates.
-    parameters : ndarray (T, parts, p)
+    parameters : ndarray (T, parts, 2, p)
         The parameters that do it.
-    measurement_error : ndarray (T, parts, 8)
+    measurement_error : ndarray (T, parts, 2, 8)
         The measurement error that does it.
+    wind : ndarray (T, parts, 2, 6)
+        The wind that does it.
     samples : int
         Random points tried for each tube, besides extreme points and ascents.
     seed : int
+    interrupted : bool
+        The search was cut short: beats that were not finished are missing.
     """
 
+    parts: tuple[str, ...]
     ratio: Array
     error: Array
     parameters: Array
     measurement_error: Array
+    wind: Array
     samples: int
     seed: int
+    interrupted: bool = False
 
     @property
     def broken(self) -> NDArray[np.bool_]:
-        """Which tubes are broken, beyond rounding: ndarray (T, parts)."""
-        return np.asarray(self.ratio > 1.0 + 1e-9)
-
-
-@dataclass(frozen=True)
-class _Space:
-    """How a point of the search, numbers in [-1, 1], becomes a flight of one beat."""
-
-    aircraft: Aircraft
-    nominal: Nominal
-    made: Compensation
-    beat: int
-    part: Part
-    whitening: Array
-    half_widths: Array
-    ranges: Array
-    coupling: float
-    measurement: float
-    form: Array
-
-    @property
-    def size(self) -> int:
-        """Numbers of a point: whitened errors of the part, the others', parameters, measurement errors."""
-        return 8 + len(self.ranges) + 8
-
-    @property
-    def free(self) -> Array:
-        """Which of the numbers do anything: bool (size,)."""
-        out = np.zeros(self.size, dtype=bool)
-        out[: len(self.part.errors)] = True
-        out[len(self.part.errors) : 8] = self.coupling > 0
-        out[8 : 8 + len(self.ranges)] = self.ranges[:, 0] < self.ranges[:, 1]
-        out[8 + len(self.ranges) :] = self.measurement > 0
-        return out
-
-    def project(self, points: Array) -> Array:
-        """Nearest points of the set: the ball for the part's errors, the box for everything else."""
-        n = len(self.part.errors)
-        points = np.clip(points, -1.0, 1.0, where=np.arange(self.size) >= n, out=np.array(points))
-        norm = np.linalg.norm(points[:, :n], axis=1, keepdims=True)
-        points[:, :n] /= np.maximum(norm, 1.0)
-        return points
-
-    def disturbances(self, points: Array) -> tuple[Array, Array, Array]:
-        """Errors (u, 8), parameters (u, p) and measurement errors (u, 8) of points."""
-        n, p = len(self.part.errors), len(self.ranges)
-        error = np.zeros((len(points), 8))
-        others = [i for i in range(8) if i not in self.part.errors]
-        error[:, self.part.errors] = points[:, :n] @ self.whitening.T
-        error[:, others] = self.coupling * points[:, n:8] * self.half_widths[others]
-        middle, half = self.ranges.mean(1), 0.5 * (self.ranges[:, 1] - self.ranges[:, 0])
-        parameters = middle + half * points[:, 8 : 8 + p]
-        return error, parameters, self.measurement * points[:, 8 + p :] * self.half_widths
-
-    def ratio(self, points: Array) -> Array:
-        """Size at the end of the beat over the tube's: ndarray (u,)."""
-        error, parameters, measured = self.disturbances(points)
-        coordinates, t = self.made.law.coordinates, self.beat
-        start = coordinates.retract(self.nominal.states[t], error)
-        seen = coordinates.retract(self.nominal.states[t], error + measured) if measured.any() else start
-        push = self.made.law.increment(t, error + measured)
-        held = self.aircraft.realise(seen, np.broadcast_to(self.nominal.controls[t], push.shape), push)
-        end = step(self.aircraft, start, held, self.nominal.dt, parameters=parameters)
-        arrived = coordinates.difference(end, self.nominal.states[t + 1])[:, self.part.errors]
-        return np.asarray(np.einsum("ui,ij,uj->u", arrived, self.form, arrived))
+        """Which tubes are broken, beyond rounding: ndarray (T, parts, 2)."""
+        return np.asarray(self.ratio > 1.0 + TOLERANCE)
 
 
 def falsify(
@@ -131,13 +80,13 @@ def falsify(
     disturbance: DisturbanceBox,
     made: Compensation,
     *,
+    adversity: Adversity | None = None,
+    beats: Sequence[int] | None = None,
     samples: int = 1000,
-    coupling: float = 0.0,
-    measurement_error: float = 0.0,
-    metric: bool = False,
     starts: int = 8,
     ascents: int = 40,
     seed: int = 0,
+    workers: int = 1,
     progress: Progress | None = None,
 ) -> Falsification:
     """Try to break the tubes of a synthesis.
@@ -148,24 +97,27 @@ def falsify(
         The one that flies.
     nominal : Nominal
     disturbance : DisturbanceBox
+        Its uncertain parameters; the errors at the start are those of the tubes' initial ellipsoids.
     made : Compensation
+        Or anything with its ``law`` and ``tubes``.
+    adversity : Adversity, optional
+        What the tubes must withstand besides; by default what they say they do.
+    beats : sequence of int, optional
+        All by default.
     samples : int
         Random points for each tube, half of them on the boundary.
-    coupling : float
-        Share of the disturbance box over which the errors of the other half range; zero leaves them at zero.
-    measurement_error : float
-        Share of the disturbance box over which measurement errors range.
-    metric : bool
-        Test the size in the synthesis's own metric instead of the terminal ellipsoid.
     starts, ascents : int
         Worst points from which the search climbs, and steps of each climb.
     seed : int
+    workers : int
+        Threads; the numbers do not depend on it.
     progress : callable, optional
-        Told the tubes done and their number.
+        Told the beats done and their number.
 
     Returns
     -------
     Falsification
+        After Ctrl-C what was finished by then, marked as interrupted.
 
     Raises
     ------
@@ -174,102 +126,92 @@ def falsify(
     """
     if samples < 1 or starts < 1 or ascents < 0:
         raise InputError(f"falsify: samples {samples}, starts {starts} and ascents {ascents}: give at least one.")
-    if coupling < 0 or measurement_error < 0:
-        raise InputError("falsify: coupling and measurement error are shares of the box and must not be negative.")
-    tubes = made.tubes
-    shape, rho = (tubes.metric, tubes.size) if metric else (tubes.terminal_shape, tubes.terminal_rho)
-    forms = shape / rho[..., None, None]
+    chosen = list(range(nominal.beats)) if beats is None else [int(beat) for beat in beats]
+    for beat in chosen:
+        if not 0 <= beat < nominal.beats:
+            raise InputError(f"falsify: there is no beat {beat}; the nominal has beats 0 to {nominal.beats - 1}.")
+    adversity = claimed(made.tubes) if adversity is None else adversity
     ranges = parameter_ranges(aircraft, disturbance.relative)
-    coordinates: ErrorCoordinates = made.law.coordinates
-    widths = coordinates.box(nominal.states[:-1], disturbance.half_widths)
-    counts = (nominal.beats, len(tubes.parts))
-    ratio = np.full(counts, np.nan)
-    error, noise = np.zeros((*counts, 8)), np.zeros((*counts, 8))
-    parameters = np.zeros((*counts, len(ranges)))
-    for done, (beat, index) in enumerate(itertools.product(*map(range, counts))):
-        if progress is not None:
-            progress(done, counts[0] * counts[1])
-        if not np.isfinite(forms[beat, index]).all():
-            continue
-        whitening = ellipsoid.whitening(tubes.initial_shape[beat, index], tubes.initial_rho[beat, index])
-        part = tubes.parts[index]
-        space = _Space(
-            aircraft, nominal, made, beat, part, whitening, widths[beat], ranges, coupling, measurement_error,
-            forms[beat, index],
-        )  # fmt: skip
-        best, worst = _search(space, samples, starts, ascents, np.random.default_rng([seed, beat, index]))
-        ratio[beat, index] = worst
-        found = space.disturbances(best[None])
-        error[beat, index], parameters[beat, index], noise[beat, index] = (x[0] for x in found)
-    return Falsification(ratio, error, parameters, noise, samples, seed)
+    counts = (nominal.beats, len(made.tubes.parts), len(FORMS))
+    found = Falsification(
+        parts=tuple(part.name for part in made.tubes.parts),
+        ratio=np.full(counts, np.nan),
+        error=np.zeros((*counts, ERRORS)),
+        parameters=np.zeros((*counts, len(ranges))),
+        measurement_error=np.zeros((*counts, ERRORS)),
+        wind=np.zeros((*counts, WIND)),
+        samples=samples,
+        seed=seed,
+    )
+    forms = _forms(made.tubes)
+
+    def attack(beat: int) -> None:
+        generator = np.random.default_rng([seed, beat])
+        for group, space in _spaces(aircraft, nominal, made, beat, ranges, adversity):
+            pairs = [(i, k) for i in group for k in range(len(FORMS))]
+            targets = [(i, k) for i, k in pairs if np.isfinite(forms[i][k][beat]).all()]
+            if not targets:
+                continue
+            sizes = [(list(made.tubes.parts[i].errors), forms[i][k][beat]) for i, k in targets]
+            for target, point, ratio in zip(
+                targets, *WorstPoints(space, sizes).worst(samples, starts, ascents, generator), strict=True
+            ):
+                at = (beat, *target)
+                found.ratio[at] = ratio
+                found.error[at], found.parameters[at], found.measurement_error[at], found.wind[at] = (
+                    values[0] for values in space.disturbances(point[None])
+                )
+
+    interrupted = _in_threads(attack, chosen, workers, progress)
+    return replace(found, interrupted=interrupted)
 
 
-def _search(space: _Space, samples: int, starts: int, ascents: int, rng: np.random.Generator) -> tuple[Array, float]:
-    """The worst point found and its ratio."""
-    pool, values = _keep_worst(space, _extreme_points(space), starts)
-    for first in range(0, samples, CHUNK):
-        fresh = _random_points(space, min(CHUNK, samples - first), rng)
-        found, heights = _keep_worst(space, fresh, starts)
-        order = np.argsort(-np.concatenate([values, heights]))[:starts]
-        pool = np.concatenate([pool, found])[order]
-        values = np.concatenate([values, heights])[order]
-    return _climb(space, pool, values, ascents)
+def claimed(tubes: Tubes) -> Adversity:
+    """What tubes say they withstand besides the errors of their own part and the parameters."""
+    return Adversity()
 
 
-def _keep_worst(space: _Space, points: Array, count: int) -> tuple[Array, Array]:
-    values = np.nan_to_num(space.ratio(points), nan=np.inf)
-    order = np.argsort(-values)[:count]
-    return points[order], values[order]
+def _forms(tubes: Tubes) -> list[list[Array]]:
+    """Matrices whose quadratic form is one on a tube's boundary, for each part and each of `FORMS`."""
+    pairs = ((tubes.metric, tubes.size), (tubes.terminal_shape, tubes.terminal_rho))
+    return [[shape[:, i] / rho[:, i, None, None] for shape, rho in pairs] for i in range(len(tubes.parts))]
 
 
-def _random_points(space: _Space, count: int, rng: np.random.Generator) -> Array:
-    """Points of the set: the ball's boundary and its inside, the box's inside and its corners, half and half."""
-    n = len(space.part.errors)
-    points = rng.uniform(-1, 1, (count, space.size))
-    corner = rng.random(count) < 0.5
-    points[corner, n:] = np.sign(points[corner, n:])
-    direction = rng.normal(size=(count, n))
-    radius = np.where(rng.random(count) < 0.5, 1.0, rng.random(count) ** (1.0 / n))
-    points[:, :n] = direction / np.linalg.norm(direction, axis=1, keepdims=True) * radius[:, None]
-    return points * space.free
+def _spaces(
+    aircraft: Aircraft, nominal: Nominal, made: Compensation, beat: int, ranges: Array, adversity: Adversity
+) -> list[tuple[list[int], BeatSpace]]:
+    """Sets of a beat, with the parts whose tubes each is for: one for all, if each withstands the others' errors."""
+    tubes = made.tubes
+    balls = [
+        (part.errors, ellipsoid.whitening(tubes.initial_shape[beat, i], tubes.initial_rho[beat, i]))
+        for i, part in enumerate(tubes.parts)
+    ]
+    measurement, wind = adversity.at(beat)
+
+    def space(chosen: Sequence[tuple[tuple[int, ...], Array]]) -> BeatSpace:
+        return BeatSpace(aircraft, nominal, made.law, beat, chosen, ranges, measurement, wind)
+
+    if adversity.others == 1.0 or len(balls) == 1:
+        return [(list(range(len(balls))), space(balls))]
+    spaces = []
+    for i in range(len(balls)):
+        shares = [1.0 if i == j else adversity.others for j in range(len(balls))]
+        chosen = [(indices, share * map_) for (indices, map_), share in zip(balls, shares, strict=True) if share > 0]
+        spaces.append(([i], space(chosen)))
+    return spaces
 
 
-def _extreme_points(space: _Space) -> Array:
-    """Ends of every axis of the ball and corners of the disturbance box, at every corner of the parameters."""
-    n, p = len(space.part.errors), len(space.ranges)
-    axes = np.concatenate([np.eye(n), -np.eye(n)])
-    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=n))) / np.sqrt(n)
-    ball = np.concatenate([axes, corners])
-    parameters = np.array(list(itertools.product((-1.0, 1.0), repeat=p)))
-    points = np.zeros((len(ball), len(parameters), space.size))
-    points[..., :n] = ball[:, None]
-    points[..., 8 : 8 + p] = parameters
-    return points.reshape(-1, space.size) * space.free
-
-
-def _climb(space: _Space, points: Array, values: Array, ascents: int) -> tuple[Array, float]:
-    """Climb from several points at once along finite-difference gradients, with shrinking steps."""
-    axes = np.flatnonzero(space.free)
-    h = 1e-4
-    length = np.full(len(points), FIRST_STEP)
-    for _ in range(ascents):
-        moved = np.repeat(points[:, None], len(axes), axis=1)
-        # inwards from the boundary, so that every trial stays a point of the set
-        side = np.where(points[:, axes] > 0, -h, h)
-        moved[:, np.arange(len(axes)), axes] += side
-        slope = (space.ratio(moved.reshape(-1, space.size)).reshape(len(points), -1) - values[:, None]) / side
-        norm = np.linalg.norm(slope, axis=1, keepdims=True)
-        if not (norm > 0).any():
-            break
-        ahead = points.copy()
-        ahead[:, axes] += length[:, None] * slope / np.maximum(norm, np.finfo(float).tiny) * np.sqrt(len(axes))
-        ahead = space.project(ahead)
-        reached = np.nan_to_num(space.ratio(ahead), nan=np.inf)
-        better = reached > values
-        points = np.where(better[:, None], ahead, points)
-        values = np.where(better, reached, values)
-        length = np.where(better, length, 0.4 * length)
-        if (length < 1e-5).all():
-            break
-    best = int(np.argmax(values))
-    return points[best], float(values[best])
+def _in_threads(work: Callable[[int], None], beats: Sequence[int], workers: int, progress: Progress | None) -> bool:
+    """Do the work of every beat; says whether it was interrupted."""
+    pool = ThreadPoolExecutor(max(1, workers))
+    try:
+        waiting = [pool.submit(work, beat) for beat in beats]
+        for done, future in enumerate(as_completed(waiting)):
+            future.result()
+            if progress is not None:
+                progress(done + 1, len(beats))
+    except KeyboardInterrupt:
+        return True
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    return False
