@@ -60,3 +60,17 @@ def test_wrong_shapes_are_refused():
         step(state, control[:2], np.ones((3, 1)), np.zeros((3, 6)), 0.05, 1)
     with pytest.raises(ValueError, match="0 substeps"):
         step(state, control, np.ones((3, 1)), np.zeros((3, 6)), 0.05, 0)
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=["linear", "smooth", "lag"])
+def test_compiled_realise_is_realise(options):
+    aircraft, (state, control) = F16(**options), states(40, seed=63)
+    random = np.random.default_rng(64)
+    increment = random.uniform(-1.0, 1.0, (40, 4)) * [0.1, 5e4, 0.1, 0.1]
+    full = np.column_stack([state, np.zeros(40)]) if aircraft.engine_lag else state
+    expected = aircraft.realise(full, control, increment)
+    realise = aircraft.compiled_realise()
+    found = np.stack([realise(s, c, d) for s, c, d in zip(full, control, increment, strict=True)])
+    assert np.clip(found, aircraft.control_lower, aircraft.control_upper) == pytest.approx(
+        expected, rel=1e-12, abs=1e-12
+    )

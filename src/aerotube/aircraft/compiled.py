@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Step = Callable[[Array, Array, Array, Array, float, int], Array]
+Realise = Callable[[Array, Array, Array], Array]
 
 _components: Any = to_fixed_tuple  # a row of known length as a tuple
 
@@ -108,3 +109,45 @@ def compiled_step(rates: Any, model: Any, state_count: int, control_count: int, 
         return result
 
     return step
+
+
+@cache
+def _realise_kernel(realise: Any, sources: str) -> Any:
+    @njit(cache=True, nogil=True)
+    def controls(model: Any, state: Array, control: Array, increment: Array, result: Array) -> str:
+        moved = realise(
+            model,
+            _components(state, 13),
+            (control[0], control[1], control[2], control[3]),
+            (increment[0], increment[1], increment[2], increment[3]),
+        )
+        for i in range(4):
+            result[i] = moved[i]
+        return sources  # see `_kernel`
+
+    return controls
+
+
+def compiled_realise(realise: Any, model: Any) -> Realise:
+    """Controls that give increments of the virtual controls, compiled, for one state at a time.
+
+    Parameters
+    ----------
+    realise : function
+        ``realise(model, state, control, increment)``, tuples of components in and out, that numba can compile.
+    model : NamedTuple
+        The numbers it needs.
+
+    Returns
+    -------
+    callable
+        ``realise(state (13,), control (4,), increment (4,))`` to controls (4,), not yet clipped to their limits.
+    """
+    kernel = _realise_kernel(realise, _sources())
+
+    def controls(state: Array, control: Array, increment: Array) -> Array:
+        result = np.empty(4)
+        kernel(model, state, control, increment, result)
+        return result
+
+    return controls

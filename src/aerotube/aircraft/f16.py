@@ -37,7 +37,7 @@ from aerotube.aircraft.base import (
     frozen,
     split,
 )
-from aerotube.aircraft.compiled import Step, compiled_step
+from aerotube.aircraft.compiled import Realise, Step, compiled_realise, compiled_step
 from aerotube.aircraft.f16_aerodynamics import (
     CHORD,
     REFERENCE_CENTRE,
@@ -210,6 +210,23 @@ def lagging_uncertain_rates(
     return lagging_rates(airframe, state, control, mass, wind, inertia, lift, effectiveness)
 
 
+@register_jitable
+def settled_throttle(levels: Components, nominal: Any, increment: Any) -> Any:
+    """Throttle whose settled thrust is that of the nominal throttle plus an increment (N), 0 to 1."""
+    thrust = thrust_from_power(power_from_throttle(nominal), levels) + increment
+    power = power_from_thrust(thrust, levels)
+    bounded = select(power < 0.0, 0.0 * power, select(power > 100.0, 0.0 * power + 100.0, power))
+    return throttle_from_power(bounded)
+
+
+@register_jitable
+def realised_controls(thrust: Table2, state: Components, control: Components, increment: Components) -> Components:
+    """Controls that give increments of elevator, thrust, aileron and rudder, as far as the throttle goes."""
+    levels = thrust_levels(thrust, air_data(state, STILL_AIR)[3], state[12])
+    throttle = settled_throttle(levels, control[1], increment[1])
+    return (control[0] + increment[0], throttle, control[2] + increment[2], control[3] + increment[3])
+
+
 class F16(Aircraft):
     """Low-fidelity F-16.
 
@@ -334,7 +351,7 @@ class F16(Aircraft):
         moved = (a[0] + d[0], a[1], a[2] + d[2], a[3] + d[3])
         if not self.engine_lag:
             return settled_rates(self.airframe, x, moved, d[1], inverse_mass, air, *others)
-        throttle = self._throttle(self._levels(x, air), a[1], d[1])
+        throttle = settled_throttle(self._levels(x, air), a[1], d[1])
         return lagging_rates(self.airframe, x, (moved[0], throttle, moved[2], moved[3]), inverse_mass, air, *others)
 
     def virtual_limits(self, state: ArrayLike, control: ArrayLike) -> tuple[Array, Array]:
@@ -353,7 +370,7 @@ class F16(Aircraft):
         """Controls, within their limits, that give increments of elevator, thrust, aileron and rudder at a state."""
         x, a = self._checked(state, control)
         d = np.asarray(increment, dtype=np.float64)
-        throttle = self._throttle(self._levels(split(x), STILL_AIR), a[..., 1], d[..., 1])
+        throttle = settled_throttle(self._levels(split(x), STILL_AIR), a[..., 1], d[..., 1])
         moved = np.broadcast_to(a + d, (*np.broadcast_shapes(a.shape[:-1], d.shape[:-1], throttle.shape), 4)).copy()
         moved[..., 1] = throttle
         return np.clip(moved, self.control_lower, self.control_upper)
@@ -381,6 +398,10 @@ class F16(Aircraft):
 
         return step
 
+    def compiled_realise(self) -> Realise:
+        """`realise` compiled; see `Aircraft.compiled_realise`."""
+        return compiled_realise(realised_controls, self.airframe.thrust)
+
     def domain_values(self, state: Sequence[Any]) -> Components:
         """Attack and sideslip (deg), Mach number, altitude (m), and by how much military thrust exceeds idle (N)."""
         x = tuple(state)
@@ -398,10 +419,3 @@ class F16(Aircraft):
     def _levels(self, state: Components, wind: Components) -> Components:
         mach = air_data(state, wind)[3]
         return thrust_levels(self.airframe.thrust, mach, state[12])
-
-    def _throttle(self, levels: Components, nominal: Any, increment: Any) -> Any:
-        """Throttle whose settled thrust is that of the nominal throttle plus an increment (N), 0 to 1."""
-        thrust = thrust_from_power(power_from_throttle(nominal), levels) + increment
-        power = power_from_thrust(thrust, levels)
-        bounded = select(power < 0.0, 0.0 * power, select(power > 100.0, 0.0 * power + 100.0, power))
-        return throttle_from_power(bounded)
