@@ -95,6 +95,17 @@ def multiply_first_transposed(a, b, out):  # type: ignore[no-untyped-def]
 
 
 @inner
+def multiply_second_transposed(a, b, out):  # type: ignore[no-untyped-def]
+    """Out = a b'; a (n, k), b (l, k), out (n, l)."""
+    keep_apart()
+    n, k, m, one, zero = np.int32(a.shape[0]), np.int32(a.shape[1]), np.int32(b.shape[0]), 1.0, 0.0
+    _dgemm(
+        _ref(_T), _ref(_N), _ref(m), _ref(n), _ref(k), _ref(one), _data(b), _ref(k), _data(a), _ref(k),
+        _ref(zero), _data(out), _ref(m),
+    )  # fmt: skip
+
+
+@inner
 def times_vector(a, x, out, alpha, beta):  # type: ignore[no-untyped-def]
     """Out = alpha a x + beta out; a (n, k)."""
     keep_apart()

@@ -12,6 +12,8 @@ product (P Q P') o (P Z^-1 P'), summed over blocks with weights g g'.
 
 from __future__ import annotations
 
+import numpy as np
+
 from aerotube.sos.interior import blas, small
 from aerotube.sos.interior.compiled import inner, keep_apart
 
@@ -115,13 +117,96 @@ def symmetric_product(a, b, factor, out, scratch):  # type: ignore[no-untyped-de
 
 
 @inner
-def scale_inequality(G, LQ, halfinverse, V):  # type: ignore[no-untyped-def]
-    """Row i of V (width, k^2) is L_Q' F_i L_Z^-T, so that V V' is the inequality's Schur complement.
+def scale_pair(LQ, LZ, scale, back, divide, scratch):  # type: ignore[no-untyped-def]
+    """Scaling of Nesterov and Todd: scale Z scale' = back Q back' = diag(lambda), back = scale'^-1.
+
+    Fills divide with 1 / (lambda_i + lambda_j).
+    """
+    keep_apart()
+    n = LQ.shape[0]
+    product = scratch[: n * n].reshape((n, n))
+    blas.multiply_first_transposed(LQ, LZ, product)
+    for i in range(n):
+        for j in range(n):
+            scale[i, j] = LQ[j, i]
+    small.orthogonalise(product, scale)
+    blas.multiply_second_transposed(product, LZ, back)
+    for i in range(n):
+        square = 0.0
+        for j in range(n):
+            square += product[i, j] * product[i, j]
+        # lambda_i, its root and the root of its cube
+        own = np.sqrt(square)
+        root = np.sqrt(own)
+        divide[i, i] = own
+        for j in range(n):
+            scale[i, j] /= root
+            back[i, j] /= own * root
+    for i in range(n):
+        for j in range(i):
+            divide[i, j] = divide[j, i] = 1.0 / (divide[i, i] + divide[j, j])
+    for i in range(n):
+        divide[i, i] = 0.5 / divide[i, i]
+
+
+@inner
+def transform(scale, x, out, scratch):  # type: ignore[no-untyped-def]
+    """Out = scale x scale', x symmetric."""
+    keep_apart()
+    n = x.shape[0]
+    product = scratch[: n * n].reshape((n, n))
+    blas.multiply(scale, x, product)
+    blas.multiply_second_transposed(product, scale, out)
+
+
+@inner
+def add_transformed(scale, x, factor, out, scratch):  # type: ignore[no-untyped-def]
+    """Out += factor scale' x scale, x symmetric."""
+    keep_apart()
+    n = x.shape[0]
+    product, result = scratch[: n * n].reshape((n, n)), scratch[n * n : 2 * n * n].reshape((n, n))
+    blas.multiply(x, scale, product)
+    blas.multiply_first_transposed(scale, product, result)
+    for i in range(n):
+        for j in range(n):
+            out[i, j] += factor * 0.5 * (result[i, j] + result[j, i])
+
+
+@inner
+def add_second_order(scale, back, divide, dQ, dZ, out, scratch):  # type: ignore[no-untyped-def]
+    """Subtract from out the second-order term of the scaled complementarity."""
+    keep_apart()
+    n = dQ.shape[0]
+    left, right = scratch[: n * n].reshape((n, n)), scratch[n * n : 2 * n * n].reshape((n, n))
+    rest = scratch[2 * n * n :]
+    transform(back, dQ, left, rest)
+    transform(scale, dZ, right, rest)
+    both = rest[: n * n].reshape((n, n))
+    blas.multiply(left, right, both)
+    for i in range(n):
+        for j in range(i + 1):
+            left[i, j] = left[j, i] = (both[i, j] + both[j, i]) * divide[i, j]
+    add_transformed(scale, left, -1.0, out, scratch[n * n :])
+
+
+@inner
+def add_two_sided(scale, x, factor, out, scratch):  # type: ignore[no-untyped-def]
+    """Out += factor W x W, W = scale' scale."""
+    keep_apart()
+    n = x.shape[0]
+    middle = scratch[: n * n].reshape((n, n))
+    transform(scale, x, middle, scratch[n * n :])
+    add_transformed(scale, middle, factor, out, scratch[n * n :])
+
+
+@inner
+def scale_inequality(G, scale, V):  # type: ignore[no-untyped-def]
+    """Row i of V (width, k^2) is scale F_i scale', so that V V' is the inequality's Schur complement.
 
     The matrices F_i are mostly zeros, so the product is made entry by entry.
     """
     keep_apart()
-    k = LQ.shape[0]
+    k = scale.shape[0]
     for a in range(G.shape[0]):
         row = V[a].reshape((k, k))
         F = G[a].reshape((k, k))
@@ -130,7 +215,7 @@ def scale_inequality(G, LQ, halfinverse, V):  # type: ignore[no-untyped-def]
             for c in range(k):
                 value = F[r, c]
                 if value != 0.0:
-                    for i in range(r + 1):
-                        left = value * LQ[r, i]
-                        for j in range(c, k):
-                            row[i, j] += left * halfinverse[j, c]
+                    for i in range(k):
+                        left = value * scale[i, r]
+                        for j in range(k):
+                            row[i, j] += left * scale[j, c]

@@ -7,6 +7,7 @@ import numpy as np
 from aerotube.sos.interior import blas, blocks, cones, small
 from aerotube.sos.interior.compiled import inner, keep_apart
 from aerotube.sos.interior.layout import (
+    BACK,
     DD,
     DQ,
     DS,
@@ -27,6 +28,7 @@ from aerotube.sos.interior.layout import (
     RHS,
     ROOT,
     ROWS,
+    SCALE,
     SCHUR,
     SCHUR_FACTOR,
     SCRATCH,
@@ -86,17 +88,23 @@ def block_targets(lay, st, i, center, eta, second):  # type: ignore[no-untyped-d
         target, inverse, current = entries(lay, st, T, b), entries(lay, st, INVERSE, b), entries(lay, st, Q, b)
         for k in range(n * n):
             target[k] = goal * inverse[k] - current[k]
-        if second == 1:
+        if lay.con[KIND, i] == LMI:
+            room = scratch(lay, st, SCRATCH, 4 * n * n)
+            scale, divide = block(lay, st, SCALE, b), block(lay, st, E, b)
+            if second == 1:
+                blocks.add_second_order(
+                    scale, block(lay, st, BACK, b), divide, block(lay, st, DQ, b), block(lay, st, DZ, b),
+                    block(lay, st, T, b), room,
+                )  # fmt: skip
+            if eta != 0.0:
+                blocks.add_two_sided(scale, block(lay, st, MISFIT, b), -eta, block(lay, st, T, b), room)
+        elif second == 1:
             # Kept in dZ, which is free from here on: a sampled constraint needs its values at the nodes as well.
             correction = entries(lay, st, DZ, b)
             correction[:] = 0.0
             blocks.symmetric_product(block(lay, st, DQ, b), block(lay, st, E, b), -1.0, block(lay, st, DZ, b), room)
             for k in range(n * n):
                 target[k] += correction[k]
-        if lay.con[KIND, i] == LMI and eta != 0.0:
-            product = block(lay, st, E, b)
-            blas.multiply(block(lay, st, MISFIT, b), block(lay, st, INVERSE, b), product)
-            blocks.symmetric_product(block(lay, st, Q, b), product, -eta, block(lay, st, T, b), room)
 
 
 @inner
@@ -220,14 +228,13 @@ def recover(lay, st, dtau, eta):  # type: ignore[no-untyped-def]
             n = lay.blk[ORDER, b]
             inverse, dZ, product = block(lay, st, INVERSE, b), block(lay, st, DZ, b), block(lay, st, E, b)
             small.copy(entries(lay, st, T, b), entries(lay, st, DQ, b))
-            blas.multiply(dZ, inverse, product)
-            room = scratch(lay, st, SCRATCH, n * n)
-            blocks.symmetric_product(block(lay, st, Q, b), product, -1.0, block(lay, st, DQ, b), room)
-            if lay.con[KIND, i] == LMI and eta != 0.0:
-                change, misfit = entries(lay, st, DZ, b), entries(lay, st, MISFIT, b)
-                for k in range(n * n):
-                    change[k] += eta * misfit[k]
+            room = scratch(lay, st, SCRATCH, 4 * n * n)
+            if lay.con[KIND, i] == LMI:
+                blocks.add_two_sided(block(lay, st, SCALE, b), dZ, -1.0, block(lay, st, DQ, b), room)
+                small.add(entries(lay, st, DZ, b), eta, entries(lay, st, MISFIT, b))
+            else:
                 blas.multiply(dZ, inverse, product)
+                blocks.symmetric_product(block(lay, st, Q, b), product, -1.0, block(lay, st, DQ, b), room)
 
 
 @inner
@@ -328,8 +335,11 @@ def refine_part(lay, st, i):  # type: ignore[no-untyped-def]
         if kind == SOS:
             functional = part(lay, st, A, i)
             blocks.moment_matrix(rows_of(lay, b), weights_of(lay, b), functional, target, tall_of(lay, st, TALL, b))
-        blas.multiply(target, block(lay, st, INVERSE, b), product)
-        blocks.symmetric_product(block(lay, st, Q, b), product, -1.0, block(lay, st, DQ, b), room)
+            blas.multiply(target, block(lay, st, INVERSE, b), product)
+            blocks.symmetric_product(block(lay, st, Q, b), product, -1.0, block(lay, st, DQ, b), room)
+            start = lay.at[SCRATCH] + n * n
+            small.add(entries(lay, st, E, b), 1.0, st.heap[start : start + n * n])
+        else:
+            space = scratch(lay, st, SCRATCH, 4 * n * n)
+            blocks.add_two_sided(block(lay, st, SCALE, b), target, -1.0, block(lay, st, DQ, b), space)
         small.add(entries(lay, st, DZ, b), 1.0, entries(lay, st, T, b))
-        start = lay.at[SCRATCH] + n * n
-        small.add(entries(lay, st, E, b), 1.0, st.heap[start : start + n * n])

@@ -28,17 +28,17 @@ KIND, ROWS, VECTOR, FIRST, LAST, COMPACT, FACTOR_AT, FLAT, GROUP, TARGET = np.ar
 # Rows of Layout.blk, one column for each matrix block (Gram matrix or matrix inequality).
 ORDER, MATRIX, BASIS, WEIGHT, OWNER = np.arange(5)
 # Matrix storages: one entry for each entry of each block.
-Q, Z, LQ, LZ, INVERSE, DQ, DZ, E, T, MISFIT, BEST_Q, KEPT_DQ, KEPT_DZ = np.arange(13)
+Q, Z, LQ, LZ, INVERSE, DQ, DZ, E, T, MISFIT, BEST_Q, KEPT_DQ, KEPT_DZ, SCALE, BACK = np.arange(15)
 # Vector storages: one entry for each node, cone entry and linear row.
-Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y, KEPT_DY, KEPT_DS = np.arange(13, 25)
+Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y, KEPT_DY, KEPT_DS = np.arange(15, 27)
 # Decision storages, (m + 1) entries.
-D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D, KEPT_DD = np.arange(25, 34)
+D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D, KEPT_DD = np.arange(27, 36)
 # The rest: data, factors, scratch.
-G, V, FACTOR, SQUARE, SQUARE2, TALL, TALLQ, SCRATCH, SHORT = np.arange(34, 43)
-SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = np.arange(43, 49)
+G, V, FACTOR, SQUARE, SQUARE2, TALL, TALLQ, SCRATCH, SHORT = np.arange(36, 45)
+SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, SIZE, NUMBER = np.arange(45, 52)
 # Sizes.
-M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, NODES, FLATS = np.arange(49, 57)
-_COUNT = 57
+M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, NODES, FLATS = np.arange(52, 60)
+_COUNT = 60
 
 
 class Layout(NamedTuple):
@@ -54,7 +54,7 @@ class Layout(NamedTuple):
         Order N; offset in matrix storage; places of P (U x N) and g (U, or -1 for 1) in `numbers`; its constraint.
     numbers : (...)
         Bases, weights, starting functionals (vector storage), log-determinant factors.
-    at : (57,)
+    at : (60,)
         Offset of each storage in the heap, and the sizes.
     """
 
@@ -118,9 +118,9 @@ def layout(structure: Structure) -> Layout:
     order = max([1, *table[ORDER].tolist()])
     widest = max([nodes, order * order, *con[ROWS].tolist()])
     lengths = np.array(
-        [matrices] * 13 + [vectors] * 12 + [m + 1] * 9
+        [matrices] * 15 + [vectors] * 12 + [m + 1] * 9
         + [compact, compact, factors, nodes * nodes, nodes * nodes, nodes * order, tall, 4 * order * order + widest]
-        + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2, groups * (m + 1), groups, 24]
+        + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2, groups * (m + 1), groups, groups, 24]
     )  # fmt: skip
     at = np.zeros(_COUNT, dtype=np.int64)
     # Every storage starts at a multiple of eight numbers, a cache line.

@@ -45,7 +45,7 @@ from aerotube.sos.interior.step import longest_steps, move, predicted, swap_dire
 
 REACH = 0.99
 REFINE_BELOW = 1e-5
-COARSE, FINE, CORRECTORS = np.array([3, 6, 2])
+COARSE, FINE, CORRECTORS = np.array([6, 8, 2])
 NO, YES = np.arange(2)
 
 
@@ -93,7 +93,9 @@ def iterate(lay, st, optimality):  # type: ignore[no-untyped-def]
         best_primal, best_dual, best_tau, best_kappa = primal, dual, dtau, dkappa
         if k < CORRECTORS:
             swap_direction(lay, st, NO)
-    primal, dual = min(1.0, REACH * best_primal), min(1.0, REACH * best_dual)
+    # Short steps are signs of bad centring: they keep further from the boundary.
+    reach = REACH - 0.09 * (1.0 - min(1.0, best_primal, best_dual))
+    primal, dual = min(1.0, reach * best_primal), min(1.0, reach * best_dual)
     number[STEP] = min(primal, dual)
     st.ints[ITERATIONS] += 1
     st.ints[STALLS] = st.ints[STALLS] + 1 if number[STEP] < 1e-3 else 0

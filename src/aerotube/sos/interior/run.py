@@ -13,6 +13,7 @@ from aerotube.sos.interior.layout import (
     COLUMN,
     FIRST,
     GROUP,
+    GROUPS,
     KIND,
     LAST,
     LINEAR,
@@ -52,7 +53,6 @@ from aerotube.sos.interior.state import (
 NUMBERS = 8
 """Length of the head of an answer: primal and dual residual, gap, status, iterations."""
 DIRECT, EMBEDDED = np.arange(2)
-START_PRIMAL, START_DUAL = 1.0, 3.0
 ACCEPTED = 10.0
 """A stalled solve within this factor of the tolerances counts as solved."""
 
@@ -61,7 +61,7 @@ ACCEPTED = 10.0
 def begin(lay, st, flat):  # type: ignore[no-untyped-def]
     """Load a program and set the starting point."""
     scaling.unpack(lay, st, flat)
-    state.start(lay, st, DIRECT, START_PRIMAL, START_DUAL)
+    state.start(lay, st, DIRECT)
 
 
 @entry
@@ -84,7 +84,7 @@ def proceed(lay, st, feasibility, optimality, limit, budget):  # type: ignore[no
         return True
     best, used = number[BEST], st.ints[ITERATIONS]
     primal, dual, gap = number[BEST_PRIMAL], number[BEST_DUAL], number[BEST_GAP]
-    state.start(lay, st, EMBEDDED, 1.0, 1.0)
+    state.start(lay, st, EMBEDDED)
     number[BEST], number[BEST_PRIMAL], number[BEST_DUAL], number[BEST_GAP] = best, primal, dual, gap
     # The embedding has as many iterations again.
     st.ints[ITERATIONS] = max(0, used - limit)
@@ -111,7 +111,7 @@ def finish(lay, st, out):  # type: ignore[no-untyped-def]
     ray = status in (INFEASIBLE, UNBOUNDED)
     d = scratch(lay, st, D if ray else BEST_D, m)
     column = scratch(lay, st, COLUMN, m)
-    row = scratch(lay, st, ROW, lay.at[ROW + 1] - lay.at[ROW])
+    row = scratch(lay, st, ROW, lay.at[GROUPS])
     beta, omega = number[BETA], number[OMEGA]
     for j in range(m):
         out[NUMBERS + j] = d[j] * column[j] / beta

@@ -13,14 +13,13 @@ from aerotube.sos.interior.layout import (
     LAST,
     LMI,
     LOCAL,
-    LQ,
     LZ,
     NORM,
     ROOT,
     ROWS,
+    SCALE,
     SCHUR,
     SCHUR_FACTOR,
-    SCRATCH,
     SOS,
     SQUARE,
     SQUARE2,
@@ -78,10 +77,7 @@ def scale_data(lay, st, i, local):  # type: ignore[no-untyped-def]
     data, scaled = compact(lay, st, G, i), compact(lay, st, V, i)
     rows, kind = lay.con[ROWS, i], lay.con[KIND, i]
     if kind == LMI:
-        half = matrix_at(st.heap, lay.at[SCRATCH], rows, rows)
-        b = lay.con[FIRST, i]
-        small.invert_factor(block(lay, st, LZ, b), half)
-        blocks.scale_inequality(data, block(lay, st, LQ, b), half, scaled)
+        blocks.scale_inequality(data, block(lay, st, SCALE, lay.con[FIRST, i]), scaled)
         blas.gram_lower(scaled, local, 0.0)
         return
     root = part(lay, st, ROOT, i)

@@ -53,6 +53,39 @@ def invert_factor(factor, out):  # type: ignore[no-untyped-def]
 
 
 @inner
+def orthogonalise(a, g):  # type: ignore[no-untyped-def]
+    """Make the rows of a orthogonal by rotations, applied to the rows of g as well (one-sided Jacobi)."""
+    keep_apart()
+    n, k = a.shape
+    for _ in range(30):
+        worst = 0.0
+        for p in range(n):
+            for q in range(p + 1, n):
+                alpha, beta, gamma = 0.0, 0.0, 0.0
+                for i in range(k):
+                    alpha += a[p, i] * a[p, i]
+                    beta += a[q, i] * a[q, i]
+                    gamma += a[p, i] * a[q, i]
+                size = np.sqrt(alpha * beta)
+                if not abs(gamma) > 1e-15 * size:
+                    continue
+                worst = max(worst, abs(gamma) / size)
+                zeta = (beta - alpha) / (2.0 * gamma)
+                tangent = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + np.sqrt(1.0 + zeta * zeta))
+                cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
+                sine = cosine * tangent
+                for i in range(k):
+                    left, right = a[p, i], a[q, i]
+                    a[p, i], a[q, i] = cosine * left - sine * right, sine * left + cosine * right
+                for i in range(g.shape[1]):
+                    left, right = g[p, i], g[q, i]
+                    g[p, i], g[q, i] = cosine * left - sine * right, sine * left + cosine * right
+        # The next sweep would leave the square of that.
+        if worst < 1e-8:
+            return
+
+
+@inner
 def longest_step(value, change, most, halvings, trial):  # type: ignore[no-untyped-def]
     """A step (not quite the longest) up to `most` that keeps value + step * change positive definite.
 

@@ -7,7 +7,13 @@ import numpy as np
 from aerotube.sos.interior import blas, blocks, cones
 from aerotube.sos.interior.compiled import entry, inner, keep_apart
 from aerotube.sos.interior.layout import (
+    BACK,
+    COLUMN,
+    DEGREE,
+    EXTENT,
     FIRST,
+    GROUP,
+    GROUPS,
     INVERSE,
     KIND,
     LAST,
@@ -18,17 +24,26 @@ from aerotube.sos.interior.layout import (
     MATRICES,
     NORM,
     NUMBER,
+    OBJECTIVE,
     ORDER,
+    OWNER,
+    RHS,
     ROOT,
+    ROW,
     ROWS,
+    SCALE,
     SCRATCH,
     SHORT,
+    SIZE,
     SOS,
     TALL,
+    TARGET,
     VECTOR,
     VECTORS,
     D,
+    E,
     G,
+    M,
     Q,
     S,
     W,
@@ -38,12 +53,17 @@ from aerotube.sos.interior.layout import (
     block,
     compact,
     decision,
+    matrix_at,
     part,
     rows_of,
     tall_of,
     weights_of,
 )  # fmt: skip
 
+AMPLE = 200.0
+"""Complementarity to start from, over what the objective could be: from high above the central path is near."""
+NOTHING = 1e-9
+"""Scaled constants below this are taken for rounding when the start is chosen."""
 RUNNING, OPTIMAL, INFEASIBLE, UNBOUNDED, STALLED = -1, 0, 2, 3, 4
 # Places among the integers of a state.
 STATUS, ITERATIONS, HOMOGENEOUS, STALLS = np.arange(4)
@@ -64,20 +84,60 @@ def scratch(lay, st, name, length):  # type: ignore[no-untyped-def]
     return st.heap[lay.at[name] : lay.at[name] + length]
 
 
-@entry
-def start(lay, st, homogeneous, primal, dual):  # type: ignore[no-untyped-def]
-    """Set the starting point: d = 0, Q = primal I, and y = dual * (mean over the domain), so that Z = dual I.
+@inner
+def sizes(lay, st):  # type: ignore[no-untyped-def]
+    """Typical size of every group of rows, in storage SIZE, and a complementarity to start from.
 
-    In a matrix inequality, where Z depends on d and Q multiplies, the two sizes change places.
+    A constraint is as large as its constants. A decision reaches no further than the constants of the constraints that
+    hold it let it, and a constraint without constants is as large as its decisions make it. The complementarity is a
+    multiple of what the objective could be.
+    """
+    keep_apart()
+    m, number = lay.at[M], numbers(lay, st)
+    extent = matrix_at(st.heap, lay.at[EXTENT], lay.at[GROUPS], m + 1)
+    row, column = scratch(lay, st, ROW, lay.at[GROUPS]), scratch(lay, st, COLUMN, m + 1)
+    objective, reach = decision(lay, st, OBJECTIVE), decision(lay, st, RHS)
+    size = scratch(lay, st, SIZE, lay.at[GROUPS])
+    reach[:] = np.inf
+    for g in range(size.shape[0]):
+        constant = extent[g, m] * row[g] * column[m]
+        size[g] = constant if constant > NOTHING else 0.0
+        if size[g] > 0.0:
+            for j in range(m):
+                if extent[g, j] > 0.0:
+                    reach[j] = min(reach[j], constant / (extent[g, j] * row[g] * column[j]))
+    slope = 0.0
+    for j in range(m):
+        reach[j] = max(reach[j], NOTHING) if reach[j] < np.inf else 1.0
+        slope += abs(objective[j]) * reach[j]
+    for g in range(size.shape[0]):
+        if size[g] == 0.0:
+            for j in range(m):
+                size[g] = max(size[g], extent[g, j] * row[g] * column[j] * reach[j])
+            if size[g] == 0.0:
+                size[g] = 1.0
+    mu = AMPLE * slope / lay.at[DEGREE] if slope > 0.0 else 1.0
+    for i in range(lay.con.shape[1]):
+        mu = max(mu, lay.numbers[lay.con[TARGET, i]] * number[BETA_OMEGA])
+    return mu
+
+
+@entry
+def start(lay, st, homogeneous):  # type: ignore[no-untyped-def]
+    """Set a starting point on the central path's axis: d = 0, every cone at its typical size and Q Z = mu I.
+
+    The multiplier of a sampled constraint is a multiple of the mean over the domain, so that Z is one of I.
     """
     st.ints[STATUS], st.ints[ITERATIONS], st.ints[HOMOGENEOUS], st.ints[STALLS] = RUNNING, 0, homogeneous, 0
     number = numbers(lay, st)
+    number[BETA_OMEGA] = number[BETA] * number[OMEGA]
+    mu = sizes(lay, st)
+    size = scratch(lay, st, SIZE, lay.at[GROUPS])
     number[TAU] = 1.0
-    number[KAPPA] = 1.0 if homogeneous == 1 else 0.0
+    number[KAPPA] = mu if homogeneous == 1 else 0.0
     number[STEP] = 1.0
     number[BEST] = np.inf
     number[BEST_PRIMAL] = number[BEST_DUAL] = number[BEST_GAP] = np.inf
-    number[BETA_OMEGA] = number[BETA] * number[OMEGA]
     decision(lay, st, D)[:] = 0.0
     scratch(lay, st, Q, lay.at[MATRICES])[:] = 0.0
     scratch(lay, st, Z, lay.at[MATRICES])[:] = 0.0
@@ -86,20 +146,27 @@ def start(lay, st, homogeneous, primal, dual):  # type: ignore[no-untyped-def]
     begin = lay.numbers.shape[0] - lay.con.shape[1] - lay.at[VECTORS]
     for i in range(lay.con.shape[1]):
         kind = lay.con[KIND, i]
+        own = size[lay.con[GROUP, i]]
+        if kind == SOS:
+            # The squares of all basis functions add up to their number.
+            count = 0
+            for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
+                count += lay.blk[ORDER, b]
+            own /= count
         if kind != LMI:
             s, y = part(lay, st, S, i), part(lay, st, Y, i)
             if kind == SOS:
                 for u in range(y.shape[0]):
-                    y[u] = dual * lay.numbers[begin + lay.con[VECTOR, i] + u]
+                    y[u] = mu / own * lay.numbers[begin + lay.con[VECTOR, i] + u]
             elif kind == NORM:
-                s[0], y[0] = primal, dual
+                s[0], y[0] = own, mu / own
             else:
-                s[:] = primal
-                y[:] = dual
+                for r in range(s.shape[0]):
+                    s[r], y[r] = size[lay.con[GROUP, i] + r], mu / size[lay.con[GROUP, i] + r]
         for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
             q, z = block(lay, st, Q, b), block(lay, st, Z, b)
             for k in range(lay.blk[ORDER, b]):
-                q[k, k], z[k, k] = (dual, primal) if kind == LMI else (primal, dual)
+                q[k, k], z[k, k] = (mu / own, own) if kind == LMI else (own, mu / own)
     moments(lay, st, Y, Z)
 
 
@@ -165,6 +232,11 @@ def factor_blocks(lay, st):  # type: ignore[no-untyped-def]
             block(lay, st, INVERSE, b), scratch(lay, st, SCRATCH, n * n),
         ):  # fmt: skip
             return False
+        if lay.con[KIND, lay.blk[OWNER, b]] == LMI:
+            blocks.scale_pair(
+                block(lay, st, LQ, b), block(lay, st, LZ, b), block(lay, st, SCALE, b), block(lay, st, BACK, b),
+                block(lay, st, E, b), scratch(lay, st, SCRATCH, n * n),
+            )  # fmt: skip
     for i in range(lay.con.shape[1]):
         kind = lay.con[KIND, i]
         if kind in (NORM, LINEAR):
