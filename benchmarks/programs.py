@@ -18,7 +18,7 @@ from unittest import mock
 import numpy as np
 
 from aerotube import scenario, sos
-from aerotube.compensation.design import effort_weights
+from aerotube.compensation.groundwork import effort_weights
 from aerotube.compensation.settings import COUPLED, DECOUPLED, Part
 from aerotube.compensation.synthesis import synthesise
 from aerotube.dynamics import ErrorCoordinates, linearise
@@ -70,15 +70,11 @@ def map_data(part: Part, degree: int) -> tuple[sos.Structure, sos.Data]:
     settings = replace(
         made.settings["noise_free"], degree=degree, algorithm="coupled" if part is WHOLE else "decoupled"
     )
-    ahead = settings.parts.index(part)
     solve = sos.solve
 
     def record(structure: sos.Structure, data: sos.Data, **options: Any) -> sos.Solution:
-        nonlocal ahead
         if any(variable.name == "K" for variable in structure.variables):
-            if ahead == 0:
-                raise _Recorded(structure, data)
-            ahead -= 1
+            raise _Recorded(structure, data)
         return solve(structure, data, **options)
 
     # The main job's own program, whatever it comes to be, and not a copy of its making.
@@ -86,8 +82,26 @@ def map_data(part: Part, degree: int) -> tuple[sos.Structure, sos.Data]:
         try:
             synthesise(made.model, made.nominal, made.disturbance, settings)
         except _Recorded as found:
-            return found.args[0], found.args[1]
+            structure, data = found.args
+            return structure, _some(data, settings.parts.index(part) * made.nominal.beats, made.nominal.beats)
     raise RuntimeError(f"the synthesis of {part.name} solved no program for a gain K; see benchmarks/programs.py.")
+
+
+def _some(data: sos.Data, start: int, count: int) -> sos.Data:
+    """Some programs of a batch: the halves of the decoupled algorithm are solved in one, the longitudinal first."""
+    structure = data.structure
+    shapes = {c.name: c.shapes(structure.size) for c in structure.constraints}
+
+    def own(array: Array, shape: tuple[int, ...]) -> Array:
+        return array if array.ndim == len(shape) else array[start : start + count]
+
+    return structure.data(
+        objective=own(data.objective, (structure.size,)),
+        constraints={
+            name: [own(array, shapes[name][key]) for key, array in arrays.items()]
+            for name, arrays in data.constraints.items()
+        },
+    )
 
 
 def map_programs(part: Part, degree: int, beats: Sequence[int]) -> list[Program]:

@@ -153,10 +153,26 @@ class Draws(_Section):
         return tuple(range(self.first_seed, self.first_seed + self.seeds))
 
 
+_SIZES = ("mean-square", "worst-case")
+
+
+def _size(value: Any) -> Any:
+    """Check what is to be made small: one of the sizes, or a mixture of them with positive weights."""
+    parts = {value: 1.0} if isinstance(value, str) else value
+    good = isinstance(parts, dict) and parts and all(name in _SIZES for name in parts)
+    if not good or not all(isinstance(w, int | float) and 0 < w < float("inf") for w in parts.values()):
+        names = ", ".join(f'"{name}"' for name in _SIZES)
+        raise ValueError(
+            f"expected one of {names}, or a mixture with positive weights such as "
+            f"{{worst-case = 1.0, mean-square = 0.1}}, not {_shown(value)}"
+        )
+    return value
+
+
 class Setting(_Section):
     """Keys of the synthesis that one of the two settings may set again; see `SynthesisSettings`."""
 
-    size: Literal["mean-square", "worst-case"] | None = None
+    size: Annotated[Any, BeforeValidator(_size)] = None
     shape: Literal["cost-to-go", "riccati"] | None = None
     limits: Literal["box", "ellipsoid"] | None = None
     measurement_error: Annotated[Ratio, Field(ge=0.0)] | None = None
@@ -165,6 +181,8 @@ class Setting(_Section):
     least_expected: float | None = Field(default=None, gt=0.0)
     attitude: Literal["relative", "euler"] | None = None
     degree: int | None = Field(default=None, ge=2, multiple_of=2)
+    law_degree: int | None = Field(default=None, ge=1, le=3)
+    reuse: int | None = Field(default=None, ge=0)
 
 
 class Synthesis(Setting):

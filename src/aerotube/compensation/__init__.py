@@ -1,7 +1,7 @@
 """Compensation laws that make trajectory tubes small."""
 
 from aerotube.compensation.design import Design, design
-from aerotube.compensation.law import LinearLaw
+from aerotube.compensation.law import LinearLaw, PolynomialLaw
 from aerotube.compensation.settings import COUPLED, DECOUPLED, Part, SynthesisSettings
 from aerotube.compensation.synthesis import Compensation, synthesise
 from aerotube.compensation.tubes import Tubes, certified_size, measure
@@ -13,6 +13,7 @@ __all__ = [
     "Design",
     "LinearLaw",
     "Part",
+    "PolynomialLaw",
     "SynthesisSettings",
     "Tubes",
     "certified_size",

@@ -1,28 +1,32 @@
-"""Compensation laws for beats of a nominal trajectory (the paper's Algorithms 1 and 2)."""
+"""Compensation laws for beats of a nominal trajectory (the paper's Algorithms 1 to 3)."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerotube import sos
 from aerotube.aircraft.base import Aircraft
-from aerotube.compensation import exact_map
+from aerotube.compensation import law_program, limits
 from aerotube.compensation.closed_loop import end_errors
-from aerotube.compensation.forecast import Forecast, forecast
-from aerotube.compensation.law import LinearLaw
-from aerotube.compensation.sets import initial_ellipsoid
+from aerotube.compensation.groundwork import Groundwork, groundwork, taken
+from aerotube.compensation.groundwork import available_increments as available_increments
+from aerotube.compensation.law import LinearLaw, PolynomialLaw, assembled
+from aerotube.compensation.law_program import GroupData, Shape
 from aerotube.compensation.settings import Part, SynthesisSettings
-from aerotube.dynamics import ErrorCoordinates, Linearisation, error_map, linearise, taylor_map
+from aerotube.dynamics import Linearisation
 from aerotube.nominal import Nominal
-from aerotube.tube import DisturbanceBox, parameter_ranges, riccati, tracking_weights
+from aerotube.tube import DisturbanceBox
 
 Array = NDArray[np.float64]
+Beats = NDArray[np.intp]
 Progress = Callable[[int, int], None]
+
+# Programs are solved together as far as their data fit into this many bytes.
+_MEMORY = 2e8
 
 
 @dataclass(frozen=True)
@@ -31,8 +35,8 @@ class Design:
 
     Attributes
     ----------
-    law : LinearLaw
-        Of the whole nominal; zero gain (the nominal alone) for a part of a beat that has no feasible law, and at
+    law : LinearLaw or PolynomialLaw
+        Of the whole nominal; zero (the nominal alone) for a part of a beat that has no feasible law, and at
         beats that were not asked for.
     beats : ndarray (b,) of int
         The beats that were asked for: the first axis of what follows.
@@ -46,16 +50,16 @@ class Design:
         One sentence for each failure.
     bound : ndarray (b, parts)
         The optimal value of each program, as the solver reports it: the majorant that was minimised, effort
-        included.
+        included. With reuse, that of all beats which share the law.
     solve_seconds : ndarray (b, parts)
-        Time in the solver, of one part of one beat.
+        Time in the solver, of one part of one beat. With reuse, the beats which share a law share its time equally.
     settings : SynthesisSettings
     linearisation : Linearisation
         Of the error map along the whole nominal, in the law's coordinates.
     """
 
-    law: LinearLaw
-    beats: NDArray[np.intp]
+    law: LinearLaw | PolynomialLaw
+    beats: Beats
     metric: tuple[Array, ...]
     feasible: NDArray[np.bool_]
     stopped: NDArray[np.bool_]
@@ -88,7 +92,8 @@ def design(
         Errors at the start of a beat and uncertain parameters.
     settings : SynthesisSettings, optional
     beats : range, optional
-        Beats to compute laws for; all by default.
+        Beats to compute laws for; all by default. With reuse, beat t shares its law with those of the same
+        ``t // (reuse + 1)``, whichever are asked for.
     workers : int
         Threads that solve; the numbers do not depend on it.
     deadline : float, optional
@@ -108,246 +113,237 @@ def design(
         If a Riccati shape does not exist.
     """
     settings = settings or SynthesisSettings()
-    nominal.check(aircraft)
-    coordinates = ErrorCoordinates(settings.attitude)
     chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
-    linear = linearise(aircraft, nominal, coordinates)
     task = _Task(
-        aircraft=aircraft,
-        nominal=nominal,
-        disturbance=disturbance,
-        settings=settings,
-        coordinates=coordinates,
-        beats=chosen,
-        linear=linear,
-        expected=_forecast(aircraft, nominal, disturbance, settings, coordinates, linear),
-        effort=effort_weights(aircraft, nominal, settings.control_weight),
-        input_map=_input_maps(aircraft, nominal, coordinates, chosen, disturbance.parameter_vertices(aircraft)),
+        aircraft,
+        nominal,
+        disturbance,
+        settings,
+        groundwork(aircraft, nominal, disturbance, settings),
+        workers,
+        deadline,
     )
-    results = []
-    for index, part in enumerate(settings.parts):
-        results.append(_design_part(task, part, workers, deadline))
+    groups = _groups(chosen, nominal.beats, settings.reuse + 1)
+    total = len(settings.parts) * sum(len(rows) for rows in groups)
+    done = 0
+
+    def tell(solved: int) -> None:
+        nonlocal done
+        done += solved
         if progress is not None:
-            progress((index + 1) * len(chosen), len(settings.parts) * len(chosen))
-    gains = np.zeros((nominal.beats, 4, 8))
-    for part, result in zip(settings.parts, results, strict=True):
-        controls, errors = np.array(part.controls), np.array(part.errors)
-        gains[chosen[:, None, None], controls[:, None], errors] = result.gains
+            progress(done, total)
+
+    found: list[list[_PartLaws]] = [[] for _ in settings.parts]
+    for rows in groups:
+        for one, made in zip(found, _design_groups(task, rows, tell), strict=True):
+            one.append(made)
+    parts = [_joined(one, chosen) for one in found]
 
     def gather(name: str) -> Array:
-        return np.stack([getattr(result, name) for result in results], axis=1)
+        return np.stack([getattr(part, name) for part in parts], axis=1)
 
     return Design(
-        law=LinearLaw(gains, coordinates),
+        law=assembled(
+            [(part.errors, part.controls, laws.coefficients) for part, laws in zip(settings.parts, parts, strict=True)],
+            settings.law_degree,
+            nominal.beats,
+            chosen,
+            task.ground.coordinates,
+        ),
         beats=chosen,
-        metric=tuple(result.metric for result in results),
+        metric=tuple(ground.metric[chosen] for ground in task.ground.parts),
         feasible=gather("feasible").astype(bool),
         stopped=gather("stopped").astype(bool),
-        messages=[message for result in results for message in result.messages],
+        messages=[message for one in found for made in one for message in made.messages],
         bound=gather("bound"),
         solve_seconds=gather("seconds"),
         settings=settings,
-        linearisation=linear,
+        linearisation=task.ground.linear,
     )
 
 
 @dataclass(frozen=True)
 class _Task:
-    """What all parts share; ``input_map`` is of the chosen beats, the rest of all."""
+    """What all programs share."""
 
     aircraft: Aircraft
     nominal: Nominal
     disturbance: DisturbanceBox
     settings: SynthesisSettings
-    coordinates: ErrorCoordinates
-    beats: NDArray[np.intp]
-    linear: Linearisation
-    expected: Forecast
-    effort: Array
-    input_map: Array
+    ground: Groundwork
+    workers: int
+    deadline: float | None
 
 
 @dataclass(frozen=True)
-class _PartDesign:
-    gains: Array
-    metric: Array
+class _PartLaws:
+    """The laws of one part, for the beats of ``rows`` (b, g), or one by one (b,)."""
+
+    rows: Beats
+    coefficients: Array
     feasible: NDArray[np.bool_]
     stopped: NDArray[np.bool_]
-    messages: list[str]
     bound: Array
     seconds: Array
+    messages: list[str]
 
 
-def effort_weights(aircraft: Aircraft, nominal: Nominal, control_weight: float) -> Array:
-    """Weights R of the virtual controls: ``control_weight / half range^2`` on the diagonal.
-
-    The half range is that of the increments available along the nominal, so that it has the units of the
-    virtual control.
-
-    Returns
-    -------
-    ndarray (T, 4, 4)
-    """
-    lower, upper = aircraft.virtual_limits(nominal.states[:-1], nominal.controls)
-    half_range = 0.5 * (upper - lower)
-    out = np.zeros((nominal.beats, 4, 4))
-    out[:, np.arange(4), np.arange(4)] = control_weight / half_range**2
-    return out
+def _groups(chosen: Beats, beats: int, length: int) -> list[Beats]:
+    """Rows of beats that share a law: first the whole ones, then a shorter one at the nominal's end."""
+    rows = np.unique(chosen // length)[:, None] * length + np.arange(length)
+    whole = rows[rows[:, -1] < beats]
+    rest = rows[rows[:, -1] >= beats]
+    return [part for part in (whole, rest[:, : beats - rest[0, 0]] if len(rest) else rest) if len(part)]
 
 
-def _forecast(
-    aircraft: Aircraft,
-    nominal: Nominal,
-    disturbance: DisturbanceBox,
-    settings: SynthesisSettings,
-    coordinates: ErrorCoordinates,
-    linear: Linearisation,
-) -> Forecast:
-    """Errors and costs to be expected along the nominal."""
-    ranges = parameter_ranges(aircraft, disturbance.relative)
-    ends = np.repeat(np.asarray(aircraft.parameter_nominal, dtype=float)[None], 2 * len(ranges), axis=0)
-    for i, (low, high) in enumerate(ranges):
-        ends[2 * i : 2 * i + 2, i] = low, high
-    moved = error_map(
-        aircraft,
-        nominal,
-        np.arange(nominal.beats),
-        coordinates,
-        np.zeros((nominal.beats, 1, 8)),
-        parameters=np.broadcast_to(ends, (nominal.beats, *ends.shape)),
-    )
-    return forecast(
-        linear,
-        tracking_weights(nominal.states, coordinates),
-        effort_weights(aircraft, nominal, settings.control_weight),
-        coordinates.box(nominal.states[:-1], disturbance.half_widths),
-        0.5 * (moved[:, 1::2] - moved[:, ::2]),
-        settings.noise_weight,
-        settings.parts,
+def _joined(laws: list[_PartLaws], chosen: Beats) -> _PartLaws:
+    """The laws of the chosen beats, one by one."""
+    beats = np.concatenate([one.rows.ravel() for one in laws])
+    place = np.argsort(beats)[np.searchsorted(np.sort(beats), chosen)]
+
+    def of_each_beat(name: str) -> Array:
+        values = [np.repeat(getattr(one, name), one.rows.shape[1], axis=0) for one in laws]
+        return np.asarray(np.concatenate(values)[place])
+
+    return _PartLaws(
+        beats[place],
+        of_each_beat("coefficients"),
+        of_each_beat("feasible").astype(bool),
+        of_each_beat("stopped").astype(bool),
+        of_each_beat("bound"),
+        of_each_beat("seconds"),
+        [],
     )
 
 
-def _input_maps(
-    aircraft: Aircraft, nominal: Nominal, coordinates: ErrorCoordinates, beats: NDArray[np.intp], vertices: Array
-) -> Array:
-    """Derivatives with respect to the virtual controls, at each extreme parameter value: ndarray (b, k, 8, 4)."""
-    # The expansion costs the same for one beat as for many, so all are one batch; errors are no variables of it.
-    polynomial = taylor_map(
-        aircraft,
-        nominal,
-        np.repeat(beats, len(vertices)),
-        coordinates,
-        order=1,
-        errors=(),
-        at=np.tile(vertices, (len(beats), 1)).T,
-    )
-    first = [int(np.flatnonzero(row)[0]) if row.any() else -1 for row in polynomial.space.exponents]
-    columns = [first.index(i) for i in range(4)]
-    return polynomial.coefficients[:, :, columns].reshape(len(beats), len(vertices), 8, 4)
+def _design_groups(task: _Task, rows: Beats, tell: Callable[[int], None]) -> list[_PartLaws]:
+    """Laws of all parts for rows of beats (b, g); parts of the same kind are solved together."""
+    shapes = [_shape(task, part, rows.shape[1]) for part in task.settings.parts]
+    data = [_group_data(task, index, shape, rows) for index, shape in enumerate(shapes)]
+    made: dict[int, _PartLaws] = {}
+    for shape in dict.fromkeys(shapes):
+        own = [index for index, other in enumerate(shapes) if other == shape]
+        both = GroupData(
+            *(np.concatenate([getattr(data[index], field.name) for index in own]) for field in fields(GroupData))
+        )
+        names = [(task.settings.parts[index].name, row) for index in own for row in rows]
+        laws = _solved(task, shape, both, names, tell)
+        for position, index in enumerate(own):
+            at = slice(position * len(rows), (position + 1) * len(rows))
+            made[index] = _PartLaws(
+                rows=rows,
+                coefficients=laws.coefficients[at],
+                feasible=laws.feasible[at],
+                stopped=laws.stopped[at],
+                bound=laws.bound[at],
+                seconds=laws.seconds[at],
+                messages=laws.messages if position == 0 else [],
+            )
+    return [made[index] for index in range(len(shapes))]
 
 
-def _metric(task: _Task, part: Part) -> Array:
-    """The metric E1 of the chosen beats, for one part: ndarray (b, n, n)."""
-    errors, controls, beats = part.errors, part.controls, task.beats
-    if task.settings.shape == "cost-to-go":
-        return np.asarray(task.expected.cost[beats + 1][:, errors][:, :, errors])
-    return riccati(
-        task.linear.A[beats][:, errors][:, :, errors],
-        task.linear.B[beats][:, errors][:, :, controls],
-        tracking_weights(task.nominal.states, task.coordinates)[beats + 1][:, errors][:, :, errors],
-        task.effort[beats][:, controls][:, :, controls],
-    )
-
-
-def _design_part(task: _Task, part: Part, workers: int, deadline: float | None) -> _PartDesign:
-    settings, beats, n = task.settings, task.beats, len(part.errors)
-    states = task.nominal.states[beats]
-    initial = initial_ellipsoid(task.disturbance, task.coordinates, states, part)
-    vertices = task.disturbance.parameter_vertices(task.aircraft)
-    structure = exact_map.structure(
-        n, len(part.controls), len(vertices), settings.degree, settings.size, settings.limits
-    )
-    points = np.einsum("bij,uj->bui", initial.whitening, structure.nodes("tube/0"))
-    seen = task.coordinates.box(states, (1.0 + settings.measurement_error) * task.disturbance.half_widths)
-    reach = seen * (np.sqrt(n) if settings.limits == "ellipsoid" else 1.0)
-    lower, upper = available_increments(task.aircraft, states, task.nominal.controls[beats], task.coordinates, reach)
-    limit = np.minimum(-lower, upper)[:, part.controls]
-    span = (upper - lower)[:, part.controls]
-    usable = limit > 1e-6 * span
-    data = exact_map.BeatData(
-        map_values=end_errors(task.aircraft, task.nominal, beats, task.coordinates, part, points, vertices),
-        input_map=task.input_map[:, :, part.errors][..., part.controls] * usable[:, None, None, :],
-        whitening=initial.whitening,
-        shape=_metric(task, part),
-        seen=seen[:, part.errors],
-        growth=(seen[:, part.errors] / initial.widths).max(-1),
-        limit=np.where(usable, limit, span),
-        expected=_whitened(task.expected.moment[beats], part, initial.whitening, settings.least_expected),
-        noise=_whitened(task.expected.noise[beats], part, initial.whitening, 0.0),
-        control_weight=task.effort[beats][:, part.controls][:, :, part.controls],
-    )
-    scaling = exact_map.scale(data)
-    problem = exact_map.program_data(structure, data, scaling, settings.size, settings.limits)
-    solution = sos.solve(structure, problem, backend=settings.backend, deadline=deadline, workers=workers)
-    feasible = solution.status == sos.Status.OPTIMAL
-    gains = exact_map.gains(solution["K"], data, scaling)
-    stopped = (solution.status == sos.Status.DEADLINE) & np.isfinite(gains).all((1, 2))
-    gains = np.where((feasible | stopped)[:, None, None], gains, 0.0)
-    gains *= usable[:, :, None]
-    gains *= _into_limits(gains, data, settings.limits)[:, :, None]
-    messages = [
-        f"beat {beats[i]}, {part.name}: no law ({sos.Status(solution.status[i]).name.lower().replace('_', ' ')}); "
-        "the nominal alone is flown."
-        for i in np.flatnonzero(~feasible & ~stopped)
-    ]
-    return _PartDesign(
-        gains=gains,
-        metric=data.shape,
-        feasible=feasible,
-        stopped=stopped,
-        messages=messages,
-        bound=np.where(feasible, solution.objective * scaling.size, np.nan),
-        seconds=solution.seconds,
+def _shape(task: _Task, part: Part, steps: int) -> Shape:
+    settings = task.settings
+    return Shape(
+        states=len(part.errors),
+        controls=len(part.controls),
+        vertices=len(task.ground.vertices),
+        steps=steps,
+        law_degree=settings.law_degree,
+        degree=max(settings.degree, 2 * settings.law_degree),
+        weights=settings.weights,
+        limits=settings.limits,
     )
 
 
-def available_increments(
-    aircraft: Aircraft, states: Array, controls: Array, coordinates: ErrorCoordinates, reach: Array
-) -> tuple[Array, Array]:
-    """Least increments of the virtual controls that are available at the nominal and the corners of a box around it.
+def _group_data(task: _Task, index: int, shape: Shape, rows: Beats) -> GroupData:
+    """Data of one part's programs for rows of beats (b, g)."""
+    part, ground = task.settings.parts[index], task.ground
+    own, beats, lead = ground.parts[index], rows.ravel(), rows.shape
+    e, c = np.array(part.errors), np.array(part.controls)
+    initial = taken(own.initial, beats)
+    inverse = np.linalg.inv(initial.whitening)
 
-    Parameters
-    ----------
-    aircraft : Aircraft
-    states : ndarray (b, 13)
-        Nominal states.
-    controls : ndarray (b, 4)
-        Nominal controls.
-    coordinates : ErrorCoordinates
-    reach : ndarray (b, 8)
-        Half-widths of the box, in these coordinates.
+    def whitened(moment: Array, least: float) -> Array:
+        inside = inverse @ moment[beats][:, e[:, None], e] @ np.swapaxes(inverse, 1, 2)
+        return np.asarray(inside + least / len(e) * np.eye(len(e))).reshape(*lead, len(e), len(e))
 
-    Returns
-    -------
-    lower, upper : ndarray (b, 4)
-    """
-    corners = np.array([*itertools.product((-1.0, 1.0), repeat=8), (0.0,) * 8])
-    around = coordinates.retract(states[:, None], corners * reach[:, None])
-    lower, upper = aircraft.virtual_limits(around, np.broadcast_to(controls[:, None], (*around.shape[:2], 4)))
-    return lower.max(1), upper.min(1)
+    points = np.einsum("bij,uj->bui", initial.whitening, law_program.nodes(shape))
+    values = end_errors(task.aircraft, task.nominal, beats, ground.coordinates, part, points, ground.vertices)
+    whitening = initial.whitening.reshape(*lead, *initial.whitening.shape[1:])
+    seen = ground.seen[rows][..., e]
+    lower, upper = own.lower[rows].max(1), own.upper[rows].min(1)
+    span = upper - lower
+    # a linear law needs both sides of a control; one that cannot have them is taken out of the program
+    usable = (np.minimum(-lower, upper) if shape.law_degree == 1 else span) > 1e-6 * span
+    widths = initial.widths.reshape(*lead, len(e))
+    turn = np.linalg.norm(np.linalg.inv(whitening[:, :1]) @ whitening, 2, axis=(-2, -1))
+    return GroupData(
+        map_values=values.reshape(*lead, *values.shape[1:]),
+        input_map=ground.input_map[rows][:, :, :, e[:, None], c] * usable[:, None, None, None, :],
+        whitening=whitening,
+        metric=own.metric[rows],
+        seen=seen.max(1),
+        growth=((seen / widths).max(-1) * turn).max(1),
+        lower=np.where(usable, lower, -span),
+        upper=np.where(usable, upper, span),
+        usable=usable,
+        expected=whitened(ground.expected.moment, task.settings.least_expected),
+        noise=whitened(ground.expected.noise, 0.0),
+        effort=ground.effort[rows][:, :, c[:, None], c],
+    )
 
 
-def _whitened(moment: Array, part: Part, whitening: Array, least: float) -> Array:
-    """Second moments of a part's errors in whitened coordinates, with a floor: ndarray (b, n, n)."""
-    inverse = np.linalg.inv(whitening)
-    own = inverse @ moment[:, part.errors][:, :, part.errors] @ np.swapaxes(inverse, 1, 2)
-    return np.asarray(own + least / len(part.errors) * np.eye(len(part.errors)))
+def _solved(
+    task: _Task, shape: Shape, data: GroupData, names: list[tuple[str, Beats]], tell: Callable[[int], None]
+) -> _PartLaws:
+    """Solve a batch of programs, as many at a time as fit into memory."""
+    settings, structure = task.settings, law_program.structure(shape)
+    each = 8.0 * sum(
+        sum(float(np.prod(size)) for size in c.shapes(structure.size).values()) for c in structure.constraints
+    )
+    count = max(2 * task.workers, int(_MEMORY / each))
+    found: list[_PartLaws] = []
+    for start in range(0, len(names), count):
+        some = taken(data, np.arange(start, min(start + count, len(names))))
+        scaling = law_program.scale(some)
+        problem = law_program.program_data(shape, some, scaling)
+        solution = sos.solve(structure, problem, backend=settings.backend, deadline=task.deadline, workers=task.workers)
+        feasible = solution.status == sos.Status.OPTIMAL
+        coefficients = law_program.coefficients(shape, solution["K"], some, scaling)
+        stopped = (solution.status == sos.Status.DEADLINE) & np.isfinite(coefficients).all((1, 2))
+        coefficients = np.where((feasible | stopped)[:, None, None], coefficients, 0.0)
+        coefficients *= (some.usable * limits.into(shape, some, scaling, solution))[:, :, None]
+        steps = len(names[0][1])
+        found.append(
+            _PartLaws(
+                np.empty(0, dtype=np.intp),
+                coefficients,
+                feasible,
+                stopped,
+                np.where(feasible, solution.objective * scaling.size, np.nan),
+                solution.seconds / steps,
+                [_sentence(*names[start + i], solution, int(i)) for i in np.flatnonzero(~feasible & ~stopped)],
+            )
+        )
+        tell(len(feasible))
+
+    def joined(name: str) -> Array:
+        return np.concatenate([getattr(one, name) for one in found])
+
+    return _PartLaws(
+        np.empty(0, dtype=np.intp),
+        joined("coefficients"),
+        joined("feasible").astype(bool),
+        joined("stopped").astype(bool),
+        joined("bound"),
+        joined("seconds"),
+        [message for one in found for message in one.messages],
+    )
 
 
-def _into_limits(gains: Array, data: exact_map.BeatData, limits: str) -> Array:
-    """Factors, at most one, that take out what the solver's tolerance left beyond the limits: ndarray (b, m)."""
-    if limits == "box":
-        most = np.sum(np.abs(gains) * data.seen[:, None, :], axis=-1)
-    else:
-        most = data.growth[:, None] * np.linalg.norm(gains @ data.whitening, axis=-1)
-    return np.asarray(data.limit / np.maximum(most, data.limit))
+def _sentence(part: str, row: Beats, solution: sos.Solution, position: int) -> str:
+    """Why a part of a beat, or of the beats that share a law, has none."""
+    beats = f"beat {row[0]}" if len(row) == 1 else f"beats {row[0]} to {row[-1]}"
+    status = str(sos.Status(int(solution.status[position])))
+    return f"{beats}, {part}: no law ({status}); the nominal alone is flown."

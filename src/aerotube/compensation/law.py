@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from aerotube.compensation import monomials
 from aerotube.dynamics.errors import ErrorCoordinates
 
 Array = NDArray[np.float64]
@@ -22,10 +24,13 @@ class LinearLaw:
         From SI errors to increments of the virtual controls.
     coordinates : ErrorCoordinates
         In which the error is measured.
+    room : ndarray (T, 4, 2), optional
+        Least and largest increment, where the law saturates of its own accord; None: it never does.
     """
 
     gains: Array
     coordinates: ErrorCoordinates
+    room: Array | None = None
 
     def increment(self, beat: int, error: Array) -> Array:
         """Increments at a beat.
@@ -40,7 +45,7 @@ class LinearLaw:
         -------
         ndarray (..., 4)
         """
-        return np.asarray(error) @ self.gains[beat].T
+        return _kept(np.asarray(error) @ self.gains[beat].T, None if self.room is None else self.room[beat])
 
     def increments(self, beats: NDArray[np.intp], error: Array) -> Array:
         """Increments at many beats.
@@ -54,4 +59,120 @@ class LinearLaw:
         -------
         ndarray (b, ..., 4)
         """
-        return np.einsum("bij,b...j->b...i", self.gains[beats], error)
+        return _each_kept(np.einsum("bij,b...j->b...i", self.gains[beats], error), self.room, beats)
+
+
+@dataclass(frozen=True)
+class PolynomialLaw:
+    """Increments of the virtual controls, polynomial in the error, without a constant term.
+
+    Attributes
+    ----------
+    coefficients : ndarray (T, 4, M)
+        From products of SI errors to increments of the virtual controls.
+    exponents : ndarray (M, 8) of int
+        Powers of the eight errors in each monomial; the first eight are the errors themselves.
+    coordinates : ErrorCoordinates
+        In which the error is measured.
+    room : ndarray (T, 4, 2), optional
+        As of :class:`LinearLaw`.
+    """
+
+    coefficients: Array
+    exponents: NDArray[np.int64]
+    coordinates: ErrorCoordinates
+    room: Array | None = None
+
+    @property
+    def gains(self) -> Array:
+        """The linear part, from SI errors to increments: ndarray (T, 4, 8)."""
+        return self.coefficients[:, :, :8]
+
+    @property
+    def degree(self) -> int:
+        """Highest total degree."""
+        return int(self.exponents.sum(1).max())
+
+    @cached_property
+    def _factors(self) -> list[tuple[int, int]]:
+        """For each monomial beyond the errors themselves, an earlier one and the error that together make it."""
+        rows = [tuple(row) for row in self.exponents.tolist()]
+        out = []
+        for row in rows[8:]:
+            last = max(i for i in range(8) if row[i])
+            out.append((rows.index(tuple(p - (i == last) for i, p in enumerate(row))), last))
+        return out
+
+    def _monomials(self, error: Array) -> Array:
+        """Values (M, ...) of the monomials; the first axis is the monomials', so that each is contiguous."""
+        first = np.moveaxis(np.asarray(error, dtype=float), -1, 0)
+        table = np.empty((len(self.exponents), *first.shape[1:]))
+        table[:8] = first
+        for row, (earlier, last) in enumerate(self._factors, start=8):
+            np.multiply(table[earlier], table[last], out=table[row])
+        return table
+
+    def increment(self, beat: int, error: Array) -> Array:
+        """Increments (..., 4) at a beat, for errors (..., 8); see :meth:`LinearLaw.increment`."""
+        made = np.tensordot(self.coefficients[beat], self._monomials(error), axes=1)
+        return _kept(np.moveaxis(made, 0, -1), None if self.room is None else self.room[beat])
+
+    def increments(self, beats: NDArray[np.intp], error: Array) -> Array:
+        """Increments (b, ..., 4) at many beats, for errors (b, ..., 8); see :meth:`LinearLaw.increments`."""
+        made = np.einsum("bim,mb...->b...i", self.coefficients[beats], self._monomials(error), optimize=True)
+        return _each_kept(made, self.room, beats)
+
+
+def assembled(
+    parts: list[tuple[tuple[int, ...], tuple[int, ...], Array]],
+    degree: int,
+    beats: int,
+    chosen: NDArray[np.intp],
+    coordinates: ErrorCoordinates,
+    room: Array | None = None,
+) -> LinearLaw | PolynomialLaw:
+    """One law from those of the parts.
+
+    Parameters
+    ----------
+    parts : list of (errors, controls, coefficients)
+        Indices of a part's errors and controls, and coefficients (b, m, M) of the monomials of degree 1 to `degree`
+        in its errors, as :func:`aerotube.compensation.monomials.exponents` lists them.
+    degree : int
+    beats : int
+        T; the law is zero at beats that are not among the chosen.
+    chosen : ndarray (b,) of int
+    coordinates : ErrorCoordinates
+    room : ndarray (T, 4, 2), optional
+
+    Returns
+    -------
+    LinearLaw or PolynomialLaw
+        Linear for degree 1.
+    """
+    rows = [tuple(row) for row in np.eye(8, dtype=int).tolist()]
+    columns = []
+    for errors, _, _ in parts:
+        powers = monomials.exponents(len(errors), degree)
+        full = np.zeros((len(powers), 8), dtype=int)
+        full[:, errors] = powers
+        names = [tuple(row) for row in full.tolist()]
+        rows += [name for name in names if name not in rows]
+        columns.append([rows.index(name) for name in names])
+    table = np.zeros((beats, 4, len(rows)))
+    for (_, controls, coefficients), column in zip(parts, columns, strict=True):
+        table[chosen[:, None, None], np.array(controls)[:, None], np.array(column)] = coefficients
+    if degree == 1:
+        return LinearLaw(table, coordinates, room)
+    return PolynomialLaw(table, np.array(rows, dtype=np.int64), coordinates, room)
+
+
+def _kept(increment: Array, room: Array | None) -> Array:
+    return np.asarray(increment if room is None else np.clip(increment, room[:, 0], room[:, 1]))
+
+
+def _each_kept(increment: Array, room: Array | None, beats: NDArray[np.intp]) -> Array:
+    if room is None:
+        return np.asarray(increment)
+    own = room[beats].reshape(len(beats), *(1,) * (increment.ndim - 2), 4, 2)
+    return np.clip(increment, own[..., 0], own[..., 1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,6 +10,7 @@ from aerotube.errors import InputError
 
 Algorithm = Literal["decoupled", "coupled"]
 Size = Literal["mean-square", "worst-case"]
+SIZES: tuple[Size, ...] = ("mean-square", "worst-case")
 Shape = Literal["cost-to-go", "riccati"]
 Limits = Literal["box", "ellipsoid"]
 
@@ -43,11 +45,18 @@ class SynthesisSettings:
     ----------
     algorithm : {"decoupled", "coupled"}
         The paper's Algorithm 2 (two halves of four states) or Algorithm 1 (eight states).
-    size : {"mean-square", "worst-case"}
+    size : {"mean-square", "worst-case"}, or mapping of these to weights
         What is made small: the mean square of the errors to be expected at the end of the beat (by a quadratic
-        majorant, see :mod:`aerotube.compensation.exact_map`), or the least ``rho`` that holds the worst error.
+        majorant, see :mod:`aerotube.compensation.law_program`), or the least ``rho`` that holds the worst error; or
+        a mixture, ``{"worst-case": 1.0, "mean-square": 0.1}``. The worst case alone leaves the law free in all
+        directions but the worst.
     shape : {"cost-to-go", "riccati"}
         The metric in which the error at the end of a beat is measured, see :mod:`aerotube.tube.shapes`.
+    law_degree : int
+        Degree of the law, 1 to 3. The sums of squares get twice that degree at least.
+    reuse : int
+        Beats for which a law is used again after its own (the paper's Section 3.1): one program serves ``reuse +
+        1`` beats.
     noise_weight : float
         Mean square of the measurement noise over that of the disturbance set; 1 where both are uniform in the
         same box.
@@ -77,10 +86,12 @@ class SynthesisSettings:
     """
 
     algorithm: Algorithm = "decoupled"
-    size: Size = "mean-square"
+    size: Size | Mapping[Size, float] | tuple[tuple[Size, float], ...] = "mean-square"
     shape: Shape = "cost-to-go"
     noise_weight: float = 0.0
     limits: Limits = "box"
+    law_degree: int = 1
+    reuse: int = 0
     measurement_error: float = 0.0
     control_weight: float = 1e-3
     least_expected: float = 1e-2
@@ -91,7 +102,6 @@ class SynthesisSettings:
     def __post_init__(self) -> None:
         choices = {
             "algorithm": ("decoupled", "coupled"),
-            "size": ("mean-square", "worst-case"),
             "shape": ("cost-to-go", "riccati"),
             "limits": ("box", "ellipsoid"),
             "attitude": ("relative", "euler"),
@@ -101,6 +111,16 @@ class SynthesisSettings:
                 raise InputError(
                     f"synthesis: unknown {name} {getattr(self, name)!r}; choose {' or '.join(map(repr, allowed))}."
                 )
+        self._check_size()
+        if self.law_degree not in (1, 2, 3):
+            raise InputError(f"synthesis: law_degree is {self.law_degree}; it must be 1, 2 or 3.")
+        if self.algorithm == "coupled" and self.law_degree == 3:
+            raise InputError(
+                "synthesis: a law of degree 3 in all eight errors is too large a program; choose law_degree = 2, or "
+                "the algorithm 'decoupled'."
+            )
+        if self.reuse < 0:
+            raise InputError(f"synthesis: reuse is {self.reuse}; it must not be negative.")
         for name in ("noise_weight", "measurement_error"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"synthesis: {name} is {getattr(self, name)}; it must not be negative.")
@@ -109,6 +129,27 @@ class SynthesisSettings:
                 raise InputError(f"synthesis: {name} is {getattr(self, name)}; it must be positive.")
         if self.degree < 2 or self.degree % 2:
             raise InputError(f"synthesis: degree is {self.degree}; it must be even and at least 2.")
+
+    def _check_size(self) -> None:
+        given = self.size
+        if isinstance(given, Mapping):
+            # in one order and hashable, so that equal settings are equal
+            given = tuple((name, float(given[name])) for name in sorted(given))
+            object.__setattr__(self, "size", given)
+        for name, weight in self.weights:
+            if name not in SIZES:
+                raise InputError(f"synthesis: unknown size {name!r}; choose {' or '.join(map(repr, SIZES))}.")
+            if not weight > 0:
+                raise InputError(f"synthesis: the weight of the size {name!r} is {weight}; it must be positive.")
+        if not self.weights:
+            raise InputError(f"synthesis: the mixture of sizes is empty; name one of {', '.join(map(repr, SIZES))}.")
+
+    @property
+    def weights(self) -> tuple[tuple[Size, float], ...]:
+        """What is made small, and with which weights."""
+        if isinstance(self.size, str):
+            return ((self.size, 1.0),)
+        return tuple(self.size.items()) if isinstance(self.size, Mapping) else self.size
 
     @property
     def parts(self) -> tuple[Part, ...]:

@@ -1,0 +1,281 @@
+"""What all programs of a nominal rest on: linearised map, forecast, initial ellipsoids, room of the controls.
+
+It is made for the whole nominal at once, since what an error will cost depends on all that follows, and kept: a
+design of a few beats of the same nominal, in flight, finds it done.
+"""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerotube.aircraft.base import Aircraft
+from aerotube.compensation.forecast import Forecast, forecast
+from aerotube.compensation.sets import InitialEllipsoid, initial_ellipsoid
+from aerotube.compensation.settings import Part, SynthesisSettings
+from aerotube.dynamics import ErrorCoordinates, Linearisation, error_map, taylor_map
+from aerotube.nominal import Nominal
+from aerotube.tube import DisturbanceBox, parameter_ranges, riccati, tracking_weights
+
+Array = NDArray[np.float64]
+Arrays = TypeVar("Arrays")
+
+_KEPT = 8
+_made: OrderedDict[Any, tuple[Aircraft, Groundwork]] = OrderedDict()
+_lock = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Groundwork:
+    """What all programs of a nominal of T beats rest on.
+
+    Attributes
+    ----------
+    coordinates : ErrorCoordinates
+    vertices : ndarray (k, p)
+        Extreme values of the parameters.
+    linear : Linearisation
+        At nominal parameters.
+    input_map : ndarray (T, k, 8, 4)
+        Derivatives of the error map with respect to the virtual controls, at each extreme.
+    effort : ndarray (T, 4, 4)
+        Weights R of the virtual controls.
+    expected : Forecast
+    seen : ndarray (T, 8)
+        Half-widths of the box of errors as the law sees them, measurement error included.
+    parts : tuple of PartGround
+        In the order of the settings' parts.
+    """
+
+    coordinates: ErrorCoordinates
+    vertices: Array
+    linear: Linearisation
+    input_map: Array
+    effort: Array
+    expected: Forecast
+    seen: Array
+    parts: tuple[PartGround, ...]
+
+
+@dataclass(frozen=True)
+class PartGround:
+    """The same of one part.
+
+    Attributes
+    ----------
+    initial : InitialEllipsoid
+        Of T beats.
+    metric : ndarray (T, n, n)
+        The metric E1 in which the error at the end of a beat is measured.
+    lower, upper : ndarray (T, m)
+        Increments that the limits leave to the part's controls wherever they must hold.
+    """
+
+    initial: InitialEllipsoid
+    metric: Array
+    lower: Array
+    upper: Array
+
+
+def groundwork(
+    aircraft: Aircraft, nominal: Nominal, disturbance: DisturbanceBox, settings: SynthesisSettings
+) -> Groundwork:
+    """Make what all programs of a nominal rest on, or find it made.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Must not change once it has been used.
+    nominal : Nominal
+    disturbance : DisturbanceBox
+    settings : SynthesisSettings
+
+    Returns
+    -------
+    Groundwork
+
+    Raises
+    ------
+    InputError
+        If the nominal is outside the aircraft's model or limits.
+    ComputationError
+        If a Riccati shape does not exist.
+    """
+    key = (id(aircraft), pickle.dumps((nominal, disturbance)), settings)
+    with _lock:
+        if key in _made:
+            _made.move_to_end(key)
+            return _made[key][1]
+    nominal.check(aircraft)
+    made = _make(aircraft, nominal, disturbance, settings)
+    with _lock:
+        _made[key] = aircraft, made  # kept alive with it, so that its id stays its own
+        while len(_made) > _KEPT:
+            _made.popitem(last=False)
+    return made
+
+
+def _make(aircraft: Aircraft, nominal: Nominal, disturbance: DisturbanceBox, settings: SynthesisSettings) -> Groundwork:
+    coordinates = ErrorCoordinates(settings.attitude)
+    vertices = disturbance.parameter_vertices(aircraft)
+    linear, input_map = _linearised(aircraft, nominal, coordinates, vertices)
+    effort = effort_weights(aircraft, nominal, settings.control_weight)
+    expected = expectations(aircraft, nominal, disturbance, settings, linear)
+    seen = coordinates.box(nominal.states[:-1], (1.0 + settings.measurement_error) * disturbance.half_widths)
+    parts = []
+    for part in settings.parts:
+        reach = seen * (np.sqrt(len(part.errors)) if settings.limits == "ellipsoid" else 1.0)
+        lower, upper = available_increments(aircraft, nominal.states[:-1], nominal.controls, coordinates, reach)
+        parts.append(
+            PartGround(
+                initial=initial_ellipsoid(disturbance, coordinates, nominal.states[:-1], part),
+                metric=_metric(nominal, settings, part, linear, expected, effort),
+                lower=lower[:, part.controls],
+                upper=upper[:, part.controls],
+            )
+        )
+    return Groundwork(coordinates, vertices, linear, input_map, effort, expected, seen, tuple(parts))
+
+
+def taken(arrays: Arrays, beats: NDArray[np.intp]) -> Arrays:
+    """Some beats of a dataclass whose fields are arrays (T, ...)."""
+    return replace(arrays, **{field.name: getattr(arrays, field.name)[beats] for field in fields(arrays)})  # type: ignore[type-var, arg-type]
+
+
+def _linearised(
+    aircraft: Aircraft, nominal: Nominal, coordinates: ErrorCoordinates, vertices: Array
+) -> tuple[Linearisation, Array]:
+    """Linearisation at nominal parameters, and input maps (T, k, 8, 4) at the extremes, in one expansion."""
+    # An expansion costs much the same for one beat as for many, so all beats and all parameters are one batch.
+    beats, sets = nominal.beats, np.concatenate([[aircraft.parameter_nominal], vertices])
+    polynomial = taylor_map(
+        aircraft,
+        nominal,
+        np.tile(np.arange(beats), len(sets)),
+        coordinates,
+        order=1,
+        at=np.repeat(sets, beats, axis=0).T,
+    )
+    table = polynomial.coefficients.reshape(len(sets), beats, 8, -1)  # the constant, then the variables in order
+    linear = Linearisation(A=table[0, :, :, 1:9].copy(), B=table[0, :, :, 9:13].copy(), offset=table[0, :, :, 0].copy())
+    return linear, np.ascontiguousarray(np.swapaxes(table[1:, :, :, 9:13], 0, 1))
+
+
+def effort_weights(aircraft: Aircraft, nominal: Nominal, control_weight: float) -> Array:
+    """Weights R of the virtual controls: ``control_weight / half range^2`` on the diagonal.
+
+    The half range is that of the increments available along the nominal, so that it has the units of the
+    virtual control.
+
+    Returns
+    -------
+    ndarray (T, 4, 4)
+    """
+    lower, upper = aircraft.virtual_limits(nominal.states[:-1], nominal.controls)
+    half_range = 0.5 * (upper - lower)
+    out = np.zeros((nominal.beats, 4, 4))
+    out[:, np.arange(4), np.arange(4)] = control_weight / half_range**2
+    return out
+
+
+def expectations(
+    aircraft: Aircraft,
+    nominal: Nominal,
+    disturbance: DisturbanceBox,
+    settings: SynthesisSettings,
+    linear: Linearisation,
+) -> Forecast:
+    """Errors and costs to be expected along the nominal.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+    nominal : Nominal
+    disturbance : DisturbanceBox
+    settings : SynthesisSettings
+    linear : Linearisation
+        In the settings' error coordinates.
+
+    Returns
+    -------
+    Forecast
+    """
+    coordinates = ErrorCoordinates(settings.attitude)
+    ranges = parameter_ranges(aircraft, disturbance.relative)
+    uncertain = np.flatnonzero(ranges[:, 0] != ranges[:, 1])
+    ends = np.repeat(np.asarray(aircraft.parameter_nominal, dtype=float)[None], 2 * len(uncertain), axis=0)
+    for i, which in enumerate(uncertain):
+        ends[2 * i : 2 * i + 2, which] = ranges[which]
+    effects = np.zeros((nominal.beats, 0, 8))
+    if len(uncertain):
+        moved = error_map(
+            aircraft,
+            nominal,
+            np.arange(nominal.beats),
+            coordinates,
+            np.zeros((nominal.beats, 1, 8)),
+            parameters=np.broadcast_to(ends, (nominal.beats, *ends.shape)),
+        )
+        effects = 0.5 * (moved[:, 1::2] - moved[:, ::2])
+    return forecast(
+        linear,
+        tracking_weights(nominal.states, coordinates),
+        effort_weights(aircraft, nominal, settings.control_weight),
+        coordinates.box(nominal.states[:-1], disturbance.half_widths),
+        effects,
+        settings.noise_weight,
+        settings.parts,
+    )
+
+
+def _metric(
+    nominal: Nominal,
+    settings: SynthesisSettings,
+    part: Part,
+    linear: Linearisation,
+    expected: Forecast,
+    effort: Array,
+) -> Array:
+    errors, controls = part.errors, part.controls
+    if settings.shape == "cost-to-go":
+        return np.asarray(expected.cost[1:, errors][:, :, errors])
+    weights = tracking_weights(nominal.states, ErrorCoordinates(settings.attitude))
+    return riccati(
+        linear.A[:, errors][:, :, errors],
+        linear.B[:, errors][:, :, controls],
+        weights[1:, errors][:, :, errors],
+        effort[:, controls][:, :, controls],
+    )
+
+
+def available_increments(
+    aircraft: Aircraft, states: Array, controls: Array, coordinates: ErrorCoordinates, reach: Array
+) -> tuple[Array, Array]:
+    """Least increments of the virtual controls that are available at the nominal and the corners of a box around it.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+    states : ndarray (b, 13)
+        Nominal states.
+    controls : ndarray (b, 4)
+        Nominal controls.
+    coordinates : ErrorCoordinates
+    reach : ndarray (b, 8)
+        Half-widths of the box, in these coordinates.
+
+    Returns
+    -------
+    lower, upper : ndarray (b, 4)
+    """
+    corners = np.array([*itertools.product((-1.0, 1.0), repeat=8), (0.0,) * 8])
+    around = coordinates.retract(states[:, None], corners * reach[:, None])
+    lower, upper = aircraft.virtual_limits(around, np.broadcast_to(controls[:, None], (*around.shape[:2], 4)))
+    return lower.max(1), upper.min(1)
