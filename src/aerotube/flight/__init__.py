@@ -1,5 +1,6 @@
 """Flying a law: Monte Carlo of the full nonlinear aircraft, noise, gusts, an estimator, baselines and metrics."""
 
+from aerotube.flight.containment import FORMS, REASONS, Containment, containment
 from aerotube.flight.draws import Draws, draw
 from aerotube.flight.estimator import Estimate, ExtendedKalmanFilter, extended_kalman_filter
 from aerotube.flight.gusts import Dryden, GustModel
@@ -12,12 +13,15 @@ from aerotube.flight.metrics import (
     root_mean_square_error,
     upper_envelope,
 )
-from aerotube.flight.simulate import Divergence, Flights, Law, simulate
+from aerotube.flight.simulate import Divergence, Flights, Law, Trace, simulate
 
 __all__ = [
     "CONTROL_WEIGHTS",
+    "FORMS",
     "METRIC_SCALE",
     "NOISE_WEIGHTS",
+    "REASONS",
+    "Containment",
     "Divergence",
     "Draws",
     "Dryden",
@@ -27,7 +31,9 @@ __all__ = [
     "GustModel",
     "Law",
     "LqrSweep",
+    "Trace",
     "best_lqr",
+    "containment",
     "draw",
     "error_metric",
     "extended_kalman_filter",

@@ -78,6 +78,25 @@ class Divergence:
 
 
 @dataclass(frozen=True, eq=False)
+class Trace:
+    """What a law dealt with, in its own coordinates.
+
+    Attributes
+    ----------
+    error : ndarray (run, time, 8)
+        True errors; NaN from where a run diverged.
+    seen : ndarray (run, beat, 8)
+        Errors that the law was given: measured or estimated.
+    wind : ndarray (run, beat, 6), optional
+        Velocity (m/s) and rotation (rad/s) of the air, body axes; None in still air.
+    """
+
+    error: Array
+    seen: Array
+    wind: Array | None
+
+
+@dataclass(frozen=True, eq=False)
 class Flights:
     """Flights of all runs; the runs of one seed are next to each other.
 
@@ -98,6 +117,8 @@ class Flights:
         Runs that at some time were outside the range of the aircraft's tables.
     fallback : ndarray (run, beat) of bool
         Where the law had no gain or no finite answer, and the nominal flew alone.
+    trace : Trace, optional
+        If it was asked for.
     """
 
     times: Array
@@ -109,6 +130,7 @@ class Flights:
     diverged: tuple[Divergence, ...]
     outside: NDArray[np.bool_]
     fallback: NDArray[np.bool_]
+    trace: Trace | None = None
 
     def upper_envelope(self) -> Array:
         """Largest Eq. 18 over each seed's runs: ndarray (seed, time)."""
@@ -137,6 +159,7 @@ def simulate(
     estimator: ExtendedKalmanFilter | None = None,
     gusts: Dryden | None = None,
     substeps: int = 1,
+    trace: bool = False,
 ) -> Flights:
     """Fly a law, or the nominal alone, on every draw.
 
@@ -156,6 +179,8 @@ def simulate(
         Turbulence, held over a beat.
     substeps : int
         Runge-Kutta steps a beat.
+    trace : bool
+        Keep what the law dealt with, in its coordinates, beat by beat.
 
     Returns
     -------
@@ -183,7 +208,11 @@ def simulate(
     sensor = noise * draws.measurement_noise(nominal.beats) if law is not None and noise > 0 else None
     air = None if gusts is None else gusts.sample(draws.gust_noise(nominal.beats, CHANNELS), nominal.dt)
     filtered = None if law is None or estimator is None else _Filtered(estimator, draws.runs)
-    return _fly(plant, nominal, law, draws, sensor, filtered, air, substeps)
+    kept = None
+    if trace and law is not None:
+        shape = (draws.runs, nominal.beats)
+        kept = Trace(np.full((shape[0], shape[1] + 1, 8), np.nan), np.full((*shape, 8), np.nan), air)
+    return _fly(plant, nominal, law, draws, sensor, filtered, air, substeps, kept)
 
 
 def _fly(
@@ -195,6 +224,7 @@ def _fly(
     filtered: _Filtered | None,
     air: Array | None,
     substeps: int,
+    trace: Trace | None,
 ) -> Flights:
     """Fly all runs, beat by beat; noise of the sensor (run, beat, 8) and wind (run, beat, 6) are given."""
     beats, runs = nominal.beats, draws.runs
@@ -214,6 +244,12 @@ def _fly(
             measured = state if sensor is None else _EULER.retract(state, sensor[:, beat])
             if filtered is not None:
                 measured = filtered.correct(beat, measured)
+            if trace is not None and law is not None:
+                trace.error[:, beat] = law.coordinates.difference(state, nominal.states[beat])
+                trace.seen[:, beat] = trace.error[:, beat]
+                if measured is not state:
+                    trace.seen[:, beat] = law.coordinates.difference(measured, nominal.states[beat])
+                trace.error[lost, beat] = np.nan
             controls[:, beat], fallback[:, beat] = _command(plant, nominal, law, beat, measured)
             state = step(
                 plant,
@@ -237,6 +273,9 @@ def _fly(
                 if filtered is not None:
                     filtered.restart(lost)
             outside |= ~plant.in_domain(state) & ~lost
+        if trace is not None and law is not None:
+            trace.error[:, beats] = law.coordinates.difference(state, nominal.states[beats])
+            trace.error[lost, beats] = np.nan
     return Flights(
         nominal.times,
         errors,
@@ -247,6 +286,7 @@ def _fly(
         tuple(diverged),
         outside,
         fallback,
+        trace,
     )
 
 

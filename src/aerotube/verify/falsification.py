@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from aerotube.aircraft.base import Aircraft
 from aerotube.compensation import Compensation, Tubes
 from aerotube.errors import InputError
+from aerotube.flight import FORMS
 from aerotube.nominal import Nominal
 from aerotube.tube import DisturbanceBox, ellipsoid, parameter_ranges
 from aerotube.verify.adversity import ERRORS, WIND, Adversity, BeatSpace
@@ -25,9 +26,6 @@ from aerotube.verify.search import WorstPoints
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
-
-#: The two shapes of a tube that are attacked: its size in the synthesis's metric, and its terminal ellipsoid.
-FORMS = ("size", "ellipsoid")
 
 #: Beyond this ratio a tube is broken; the rest is rounding.
 TOLERANCE = 1e-9
