@@ -315,6 +315,10 @@ def sampling(domain: Domain, degree: int, weights: tuple[Polynomial, ...] = ()) 
             blocks.append(_block(domain, degree, (), weight, nodes))
         sample = domain.sample(max(20000, 40 * len(basis)), seed=1)
         inside = np.all([on_domain(weight, domain)(sample) > 0.0 for weight in weights], axis=0)
+        # of balls, hardly a point of a sample is deep inside, where a small set may be
+        while np.sum(inside) < len(basis) and len(domain.balls) == len(domain.factors) and np.max(sample) > 1e-2:
+            sample = 0.7 * sample
+            inside = np.all([weight(sample) > 0.0 for weight in weights], axis=0)
         if not np.any(inside):
             raise ValueError(f"no point of {domain} was found where all weights are positive; check their signs.")
         # Coefficients of a mean over points of the set, as a functional on values at the nodes.
