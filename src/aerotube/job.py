@@ -15,11 +15,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from aerotube import compensation, flight, results, scenario
+from aerotube import compensation, flight, results, scenario, verify
 from aerotube.dynamics import ErrorCoordinates, linearise
 from aerotube.errors import ComputationError
 from aerotube.preparation import SETTINGS, Prepared, coefficient_curves, error_states, prepare
 from aerotube.results import CALM, ESTIMATOR, NOISE, Case, Law, Record
+from aerotube.tube import parameter_ranges
 
 #: Told what is being done, and which part of the whole is done (0 to 1).
 Progress = Callable[[str, float], None]
@@ -143,6 +144,12 @@ def _design(
         messages=tuple(made.messages),
         evidence=made.evidence,
         settings=prepared.source.scenario.synthesis.setting(key),
+        margins=verify.margins(
+            made.linearisation.A,
+            made.linearisation.B,
+            verify.linear_part(made.law, prepared.nominal.beats),
+            prepared.nominal.dt,
+        ),
     )
     record.problems.extend(f"{_words(key)} law, {message}" for message in made.messages)
     for index, part in enumerate(tubes.parts):
@@ -188,6 +195,7 @@ class _Flights:
             estimator=estimator,
             gusts=prepared.gusts,
             substeps=self.chosen.flight.substeps,
+            trace=controller == "compensated",
         )
         seeds, runs = len(flown.seeds), flown.runs_per_seed
         metric = flown.metric.reshape(seeds, runs, -1)
@@ -202,10 +210,26 @@ class _Flights:
             outside=flown.outside.reshape(seeds, runs),
             messages=tuple(str(divergence) for divergence in flown.diverged),
             law=words,
+            containment=self._containment(condition, flown.trace),
         )
         if controller == "none":
             self._alone = case
         return case
+
+    def _containment(self, condition: str, trace: flight.Trace | None) -> flight.Containment | None:
+        """How traced flights kept to the tubes of their law."""
+        if trace is None:
+            return None
+        prepared, made = self.prepared, self.laws[self.setting(condition)]
+        share = made.settings.measurement_error
+        states = prepared.nominal.states[:-1]
+        return flight.containment(
+            trace,
+            prepared.draws.parameters,
+            made.tubes,
+            parameter_ranges(prepared.plant, prepared.disturbance.relative),
+            measurement=share * made.law.coordinates.box(states, prepared.disturbance.half_widths),
+        )
 
     def _law(self, controller: str, condition: str, noise: float, estimator: Any) -> tuple[Any, str]:
         if controller == "none":

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from aerotube.errors import InputError
+from aerotube.results.assurance import put_containment, put_margins
 from aerotube.results.record import (
     CONTROL_UNITS,
     CONTROLLERS,
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 #: Raised by one in its last place when a variable is added, in its first when one is renamed or removed.
-SCHEMA_VERSION = "1.0"
+SCHEMA_VERSION = "1.1"
 
 #: Where the unit changes along the last axis: one for each label of the axis, in its order.
 _UNITS_BY_STATE, _UNITS_BY_CONTROL = ", ".join(STATE_UNITS), ", ".join(CONTROL_UNITS)
@@ -93,8 +94,10 @@ def build(record: Record) -> xr.Dataset:
             put(f"coefficient_{name}", ("coefficient_alpha", values, {"units": "1"}))
     if record.laws:
         _put_laws(dataset, record.laws)
+        put_margins(dataset, record.laws)
     if record.conditions:
         _put_cases(dataset, record)
+        put_containment(dataset, record)
     return dataset
 
 

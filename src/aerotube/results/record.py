@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aerotube.flight import Containment
 from aerotube.sos import Certificate
+from aerotube.verify import Margins
 
 Array = NDArray[np.float64]
 
@@ -62,6 +64,8 @@ class Law:
         Of the sizes, one for each part.
     settings : mapping
         The keys of the synthesis.
+    margins : Margins, optional
+        Of the loops that the law closes.
     """
 
     parts: tuple[tuple[str, tuple[int, ...]], ...]
@@ -81,6 +85,7 @@ class Law:
     messages: tuple[str, ...] = ()
     evidence: tuple[Certificate, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    margins: Margins | None = None
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,8 @@ class Case:
         One sentence for each diverged run.
     law : str
         Which law or weights were flown, in words.
+    containment : Containment, optional
+        How the flights kept to the tubes of the law.
     """
 
     error: Array
@@ -113,6 +120,7 @@ class Case:
     outside: NDArray[np.bool_]
     messages: tuple[str, ...] = ()
     law: str = ""
+    containment: Containment | None = None
 
 
 @dataclass

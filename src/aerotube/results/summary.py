@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aerotube.results.assurance import summarise_containment, summarise_margins
 from aerotube.results.record import CONTROLLERS, KEY_SUFFIX
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ def summarise(dataset: xr.Dataset) -> dict[str, Any]:
         "beats": int(dataset.sizes["beat"]),
     }
     summary |= _of_flights(dataset) | _of_laws(dataset)
+    summary["containment"] = summarise_containment(dataset)
     summary["problems"] = json.loads(dataset.attrs["problems"])
     summary["seconds"] = json.loads(dataset.attrs["seconds"])
     summary["provenance"] = {
@@ -125,6 +127,7 @@ def _of_laws(dataset: xr.Dataset) -> dict[str, Any]:
             "certificate": str(dataset["certificate"].sel(law=name).values),
             "solve_ms": _percentiles(milliseconds.sel(law=name).values),
             "settings": json.loads(str(dataset["settings"].sel(law=name).values)),
+            "margins": summarise_margins(dataset, str(name)),
         }
         for name in dataset["law"].values
     }
