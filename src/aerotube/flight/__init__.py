@@ -4,6 +4,8 @@ from aerotube.flight.containment import FORMS, REASONS, Containment, containment
 from aerotube.flight.draws import Draws, draw
 from aerotube.flight.estimator import Estimate, ExtendedKalmanFilter, extended_kalman_filter
 from aerotube.flight.gusts import Dryden, GustModel
+from aerotube.flight.inversion import DynamicInversion, InversionSweep, best_inversion
+from aerotube.flight.library import LawLibrary, build_library, nearby_nominals
 from aerotube.flight.lqr import CONTROL_WEIGHTS, NOISE_WEIGHTS, LqrSweep, best_lqr, time_varying_lqr
 from aerotube.flight.metrics import (
     METRIC_SCALE,
@@ -25,20 +27,26 @@ __all__ = [
     "Divergence",
     "Draws",
     "Dryden",
+    "DynamicInversion",
     "Estimate",
     "ExtendedKalmanFilter",
     "Flights",
     "GustModel",
+    "InversionSweep",
     "Law",
+    "LawLibrary",
     "LqrSweep",
     "Trace",
+    "best_inversion",
     "best_lqr",
+    "build_library",
     "containment",
     "draw",
     "error_metric",
     "extended_kalman_filter",
     "mean_absolute_error",
     "mean_upper_error",
+    "nearby_nominals",
     "root_mean_square_error",
     "simulate",
     "time_varying_lqr",

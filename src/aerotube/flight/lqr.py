@@ -19,6 +19,7 @@ from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.errors import InputError
 from aerotube.flight.draws import Draws
 from aerotube.flight.estimator import ExtendedKalmanFilter
+from aerotube.flight.gusts import Dryden
 from aerotube.flight.simulate import simulate
 from aerotube.nominal import Nominal
 from aerotube.tube.shapes import cost_to_go, tracking_weights
@@ -118,6 +119,7 @@ def best_lqr(
     *,
     noise: float = 0.0,
     estimator: ExtendedKalmanFilter | None = None,
+    gusts: Dryden | None = None,
     control_weights: Sequence[float] = CONTROL_WEIGHTS,
     noise_weights: Sequence[float] = NOISE_WEIGHTS,
     seeds: int = 3,
@@ -133,6 +135,7 @@ def best_lqr(
     noise : float
         Fraction of the disturbance box that the measurement noise fills.
     estimator : ExtendedKalmanFilter, optional
+    gusts : Dryden, optional
     control_weights, noise_weights : sequences of float
         The sweep.
     seeds : int
@@ -158,7 +161,8 @@ def best_lqr(
     ]
     chosen = draws.repeated(len(laws), seeds)
     gains = np.stack([law.gains for law in laws])
-    flights = simulate(aircraft, nominal, _SideBySide(gains, coordinates), chosen, noise=noise, estimator=estimator)
+    side_by_side = _SideBySide(gains, coordinates)
+    flights = simulate(aircraft, nominal, side_by_side, chosen, noise=noise, estimator=estimator, gusts=gusts)
     errors = flights.mean_upper_error().reshape(len(laws), -1).mean(axis=1)
     for divergence in flights.diverged:
         errors[divergence.run * len(laws) // chosen.runs] = np.inf
