@@ -35,10 +35,10 @@ Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y, KEPT_DY, KEPT_DS = np.arange(15,
 D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D, KEPT_DD = np.arange(27, 36)
 # The rest: data, factors, scratch.
 G, V, FACTOR, SQUARE, SQUARE2, TALL, TALLQ, SCRATCH, SHORT = np.arange(36, 45)
-SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, SIZE, NUMBER = np.arange(45, 52)
+SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = np.arange(45, 51)
 # Sizes.
-M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, NODES, FLATS = np.arange(52, 60)
-_COUNT = 60
+M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, NODES, FLATS = np.arange(51, 59)
+_COUNT = 59
 
 
 class Layout(NamedTuple):
@@ -54,7 +54,7 @@ class Layout(NamedTuple):
         Order N; offset in matrix storage; places of P (U x N) and g (U, or -1 for 1) in `numbers`; its constraint.
     numbers : (...)
         Bases, weights, starting functionals (vector storage), log-determinant factors.
-    at : (60,)
+    at : (59,)
         Offset of each storage in the heap, and the sizes.
     """
 
@@ -120,7 +120,7 @@ def layout(structure: Structure) -> Layout:
     lengths = np.array(
         [matrices] * 15 + [vectors] * 12 + [m + 1] * 9
         + [compact, compact, factors, nodes * nodes, nodes * nodes, nodes * order, tall, 4 * order * order + widest]
-        + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2, groups * (m + 1), groups, groups, 24]
+        + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2, groups * (m + 1), groups, 24]
     )  # fmt: skip
     at = np.zeros(_COUNT, dtype=np.int64)
     # Every storage starts at a multiple of eight numbers, a cache line.

@@ -72,7 +72,9 @@ from aerotube.sos.interior.state import (
     values,
 )  # fmt: skip
 
-RAY_TOLERANCE = 1e-9
+RAY_TOLERANCE = 1e-12
+RAY_ACCEPTED = 1e-9
+"""Error of a ray that is one if it gets no better."""
 
 
 @inner
@@ -174,14 +176,24 @@ def lmi_excess(x, data, tau):  # type: ignore[no-untyped-def]
 
 
 @inner
+def ray(lay, st, tolerance):  # type: ignore[no-untyped-def]
+    """INFEASIBLE or UNBOUNDED if the iterate is a ray that says so, else RUNNING."""
+    number = numbers(lay, st)
+    if number[DUAL_RAY] < tolerance:
+        return INFEASIBLE
+    if number[PRIMAL_RAY] < tolerance:
+        return UNBOUNDED
+    return RUNNING
+
+
+@inner
 def judge(lay, st, feasibility, optimality):  # type: ignore[no-untyped-def]
     """Status after `measure`; keeps the best iterate seen."""
     keep_apart()
     number = numbers(lay, st)
-    if number[DUAL_RAY] < RAY_TOLERANCE:
-        return INFEASIBLE
-    if number[PRIMAL_RAY] < RAY_TOLERANCE:
-        return UNBOUNDED
+    found = ray(lay, st, RAY_TOLERANCE)
+    if found != RUNNING:
+        return found
     merit = max(number[PRIMAL] / feasibility, number[DUAL] / feasibility, number[GAP] / optimality)
     if merit < number[BEST]:
         number[BEST] = merit

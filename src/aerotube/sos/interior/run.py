@@ -30,6 +30,7 @@ from aerotube.sos.interior.layout import (
     entries,
     part,
 )  # fmt: skip
+from aerotube.sos.interior.measure import RAY_ACCEPTED, ray
 from aerotube.sos.interior.method import advance
 from aerotube.sos.interior.state import (
     BEST,
@@ -75,6 +76,10 @@ def proceed(lay, st, feasibility, optimality, limit, budget):  # type: ignore[no
     if status == RUNNING and st.ints[ITERATIONS] < limit:
         return False
     if status in (OPTIMAL, INFEASIBLE, UNBOUNDED):
+        return True
+    found = ray(lay, st, RAY_ACCEPTED)
+    if found != RUNNING:
+        st.ints[STATUS] = found
         return True
     if number[BEST] <= ACCEPTED:
         st.ints[STATUS] = OPTIMAL

@@ -35,6 +35,8 @@ from aerotube.sos.interior.layout import (
 )  # fmt: skip
 
 SWEEPS = 6
+NOTHING = 1e-9
+"""Constants this small beside the largest are taken for rounding."""
 BETA, OMEGA = 9, 10
 """Places of the overall scales among the numbers of a state."""
 
@@ -120,6 +122,39 @@ def _balance(extent, row, column):  # type: ignore[no-untyped-def]
         row[g] = _power(top if top > 0.0 else extent[g, m])
 
 
+@inner
+def _settle(extent, row, column):  # type: ignore[no-untyped-def]
+    """Bring every constraint to its own size and every decision to its reach, both near one.
+
+    A constraint is as large as its constants. A decision reaches no further than the constants of the constraints that
+    hold it let it, one by one; a constraint without constants is as large as its decisions can make it.
+    """
+    keep_apart()
+    groups, m = extent.shape[0], extent.shape[1] - 1
+    top = 0.0
+    for g in range(groups):
+        top = max(top, extent[g, m] * row[g])
+    least = NOTHING * top if top > 0.0 else 1.0
+    for j in range(m):
+        reach = np.inf
+        for g in range(groups):
+            size, own = extent[g, m] * row[g], extent[g, j] * row[g] * column[j]
+            if own > 0.0 and size > least:
+                reach = min(reach, size / own)
+        if reach < np.inf:
+            column[j] /= _power(max(reach, least))
+        elif top > 0.0:
+            column[j] /= _power(top)
+    for g in range(groups):
+        size = extent[g, m] * row[g]
+        if not size > least:
+            size = 0.0
+            for j in range(m):
+                size = max(size, extent[g, j] * row[g] * column[j])
+        if size > 0.0:
+            row[g] *= _power(size)
+
+
 @entry
 def unpack(lay, st, flat):  # type: ignore[no-untyped-def]
     """Scale the numbers of one program and pack them: G (rows, width), the constants in the last column.
@@ -133,12 +168,11 @@ def unpack(lay, st, flat):  # type: ignore[no-untyped-def]
     number = st.heap[lay.at[NUMBER] : lay.at[NUMBER] + 24]
     _measure(lay, extent, flat)
     _balance(extent, row, column)
-    constant, slope = 0.0, 0.0
-    for g in range(extent.shape[0]):
-        constant = max(constant, extent[g, m] * row[g])
+    _settle(extent, row, column)
+    slope = 0.0
     for j in range(m):
         slope = max(slope, abs(flat[j]) * column[j])
-    number[BETA], number[OMEGA] = _power(constant), _power(slope)
+    number[BETA], number[OMEGA] = 1.0, _power(slope)
     column[m] = number[BETA]
     for j in range(m):
         objective[j] = flat[j] * column[j] * number[OMEGA]

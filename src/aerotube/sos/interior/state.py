@@ -8,12 +8,8 @@ from aerotube.sos.interior import blas, blocks, cones
 from aerotube.sos.interior.compiled import entry, inner, keep_apart
 from aerotube.sos.interior.layout import (
     BACK,
-    COLUMN,
     DEGREE,
-    EXTENT,
     FIRST,
-    GROUP,
-    GROUPS,
     INVERSE,
     KIND,
     LAST,
@@ -27,14 +23,11 @@ from aerotube.sos.interior.layout import (
     OBJECTIVE,
     ORDER,
     OWNER,
-    RHS,
     ROOT,
-    ROW,
     ROWS,
     SCALE,
     SCRATCH,
     SHORT,
-    SIZE,
     SOS,
     TALL,
     TARGET,
@@ -53,7 +46,6 @@ from aerotube.sos.interior.layout import (
     block,
     compact,
     decision,
-    matrix_at,
     part,
     rows_of,
     tall_of,
@@ -62,8 +54,6 @@ from aerotube.sos.interior.layout import (
 
 AMPLE = 200.0
 """Complementarity to start from, over what the objective could be: from high above the central path is near."""
-NOTHING = 1e-9
-"""Scaled constants below this are taken for rounding when the start is chosen."""
 RUNNING, OPTIMAL, INFEASIBLE, UNBOUNDED, STALLED = -1, 0, 2, 3, 4
 # Places among the integers of a state.
 STATUS, ITERATIONS, HOMOGENEOUS, STALLS = np.arange(4)
@@ -84,55 +74,22 @@ def scratch(lay, st, name, length):  # type: ignore[no-untyped-def]
     return st.heap[lay.at[name] : lay.at[name] + length]
 
 
-@inner
-def sizes(lay, st):  # type: ignore[no-untyped-def]
-    """Typical size of every group of rows, in storage SIZE, and a complementarity to start from.
-
-    A constraint is as large as its constants. A decision reaches no further than the constants of the constraints that
-    hold it let it, and a constraint without constants is as large as its decisions make it. The complementarity is a
-    multiple of what the objective could be.
-    """
-    keep_apart()
-    m, number = lay.at[M], numbers(lay, st)
-    extent = matrix_at(st.heap, lay.at[EXTENT], lay.at[GROUPS], m + 1)
-    row, column = scratch(lay, st, ROW, lay.at[GROUPS]), scratch(lay, st, COLUMN, m + 1)
-    objective, reach = decision(lay, st, OBJECTIVE), decision(lay, st, RHS)
-    size = scratch(lay, st, SIZE, lay.at[GROUPS])
-    reach[:] = np.inf
-    for g in range(size.shape[0]):
-        constant = extent[g, m] * row[g] * column[m]
-        size[g] = constant if constant > NOTHING else 0.0
-        if size[g] > 0.0:
-            for j in range(m):
-                if extent[g, j] > 0.0:
-                    reach[j] = min(reach[j], constant / (extent[g, j] * row[g] * column[j]))
-    slope = 0.0
-    for j in range(m):
-        reach[j] = max(reach[j], NOTHING) if reach[j] < np.inf else 1.0
-        slope += abs(objective[j]) * reach[j]
-    for g in range(size.shape[0]):
-        if size[g] == 0.0:
-            for j in range(m):
-                size[g] = max(size[g], extent[g, j] * row[g] * column[j] * reach[j])
-            if size[g] == 0.0:
-                size[g] = 1.0
-    mu = AMPLE * slope / lay.at[DEGREE] if slope > 0.0 else 1.0
-    for i in range(lay.con.shape[1]):
-        mu = max(mu, lay.numbers[lay.con[TARGET, i]] * number[BETA_OMEGA])
-    return mu
-
-
 @entry
 def start(lay, st, homogeneous):  # type: ignore[no-untyped-def]
-    """Set a starting point on the central path's axis: d = 0, every cone at its typical size and Q Z = mu I.
+    """Set a starting point: d = 0, every cone at its size, which the scaling made one, and Q Z = mu I.
 
-    The multiplier of a sampled constraint is a multiple of the mean over the domain, so that Z is one of I.
+    mu is large beside what the objective may be: from high above, the central path is near. The multiplier of a
+    sampled constraint is a multiple of the mean over the domain, so that Z is one of I.
     """
     st.ints[STATUS], st.ints[ITERATIONS], st.ints[HOMOGENEOUS], st.ints[STALLS] = RUNNING, 0, homogeneous, 0
     number = numbers(lay, st)
     number[BETA_OMEGA] = number[BETA] * number[OMEGA]
-    mu = sizes(lay, st)
-    size = scratch(lay, st, SIZE, lay.at[GROUPS])
+    objective, slope = decision(lay, st, OBJECTIVE), 0.0
+    for j in range(lay.at[M]):
+        slope += abs(objective[j])
+    mu = AMPLE * slope / lay.at[DEGREE] if slope > 0.0 else 1.0
+    for i in range(lay.con.shape[1]):
+        mu = max(mu, lay.numbers[lay.con[TARGET, i]] * number[BETA_OMEGA])
     number[TAU] = 1.0
     number[KAPPA] = mu if homogeneous == 1 else 0.0
     number[STEP] = 1.0
@@ -145,8 +102,7 @@ def start(lay, st, homogeneous):  # type: ignore[no-untyped-def]
     scratch(lay, st, Y, lay.at[VECTORS])[:] = 0.0
     begin = lay.numbers.shape[0] - lay.con.shape[1] - lay.at[VECTORS]
     for i in range(lay.con.shape[1]):
-        kind = lay.con[KIND, i]
-        own = size[lay.con[GROUP, i]]
+        kind, own = lay.con[KIND, i], 1.0
         if kind == SOS:
             # The squares of all basis functions add up to their number.
             count = 0
@@ -161,8 +117,8 @@ def start(lay, st, homogeneous):  # type: ignore[no-untyped-def]
             elif kind == NORM:
                 s[0], y[0] = own, mu / own
             else:
-                for r in range(s.shape[0]):
-                    s[r], y[r] = size[lay.con[GROUP, i] + r], mu / size[lay.con[GROUP, i] + r]
+                s[:] = own
+                y[:] = mu / own
         for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
             q, z = block(lay, st, Q, b), block(lay, st, Z, b)
             for k in range(lay.blk[ORDER, b]):
