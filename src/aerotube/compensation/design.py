@@ -19,7 +19,7 @@ from aerotube.compensation.law_program import GroupData, Shape
 from aerotube.compensation.settings import Part, SynthesisSettings
 from aerotube.dynamics import Linearisation
 from aerotube.nominal import Nominal
-from aerotube.tube import DisturbanceBox
+from aerotube.tube import DisturbanceBox, DisturbanceSet
 
 Array = NDArray[np.float64]
 Beats = NDArray[np.intp]
@@ -73,10 +73,10 @@ class Design:
 def design(
     aircraft: Aircraft,
     nominal: Nominal,
-    disturbance: DisturbanceBox,
+    disturbance: DisturbanceSet,
     settings: SynthesisSettings | None = None,
     *,
-    beats: range | None = None,
+    beats: range | Beats | None = None,
     workers: int = 1,
     deadline: float | None = None,
     progress: Progress | None = None,
@@ -88,10 +88,10 @@ def design(
     aircraft : Aircraft
         Whose step map, sampled at nodes, the programs hold.
     nominal : Nominal
-    disturbance : DisturbanceBox
+    disturbance : DisturbanceSet
         Errors at the start of a beat and uncertain parameters.
     settings : SynthesisSettings, optional
-    beats : range, optional
+    beats : range or ndarray of int, rising, optional
         Beats to compute laws for; all by default. With reuse, beat t shares its law with those of the same
         ``t // (reuse + 1)``, whichever are asked for.
     workers : int
@@ -168,7 +168,7 @@ class _Task:
 
     aircraft: Aircraft
     nominal: Nominal
-    disturbance: DisturbanceBox
+    disturbance: DisturbanceSet
     settings: SynthesisSettings
     ground: Groundwork
     workers: int
@@ -218,7 +218,7 @@ def _joined(laws: list[_PartLaws], chosen: Beats) -> _PartLaws:
 
 def _design_groups(task: _Task, rows: Beats, tell: Callable[[int], None]) -> list[_PartLaws]:
     """Laws of all parts for rows of beats (b, g); parts of the same kind are solved together."""
-    shapes = [_shape(task, part, rows.shape[1]) for part in task.settings.parts]
+    shapes = [_shape(task, index, rows.shape[1]) for index in range(len(task.settings.parts))]
     data = [_group_data(task, index, shape, rows) for index, shape in enumerate(shapes)]
     made: dict[int, _PartLaws] = {}
     for shape in dict.fromkeys(shapes):
@@ -242,8 +242,13 @@ def _design_groups(task: _Task, rows: Beats, tell: Callable[[int], None]) -> lis
     return [made[index] for index in range(len(shapes))]
 
 
-def _shape(task: _Task, part: Part, steps: int) -> Shape:
-    settings = task.settings
+def _shape(task: _Task, index: int, steps: int) -> Shape:
+    settings, part = task.settings, task.settings.parts[index]
+    where, corners = settings.limits, 0
+    if where == "box" and settings.law_degree == 1 and not isinstance(task.disturbance, DisturbanceBox):
+        # on a set with corners the limits hold there; on any other, on the ellipsoid around it
+        corners = steps * len(_corners(task, index, np.zeros(1, dtype=np.intp))[0])
+        where = "box" if corners else "ellipsoid"
     return Shape(
         states=len(part.errors),
         controls=len(part.controls),
@@ -252,8 +257,24 @@ def _shape(task: _Task, part: Part, steps: int) -> Shape:
         law_degree=settings.law_degree,
         degree=max(settings.degree, 2 * settings.law_degree),
         weights=settings.weights,
-        limits=settings.limits,
+        limits=where,
+        corners=corners,
     )
+
+
+def _measurement(task: _Task, part: Part, beats: Beats) -> Array:
+    """Half-widths of the box of a part's measurement errors: ndarray (b, n)."""
+    share, errors = task.settings.measurement_error, list(part.errors)
+    if share == 0.0:
+        return np.zeros((len(beats), len(errors)))
+    widths = share * task.disturbance.half_widths
+    return task.ground.coordinates.box(task.nominal.states[beats], widths)[:, errors]
+
+
+def _corners(task: _Task, index: int, beats: Beats) -> Array:
+    """Corners of the set of a part's measured errors: ndarray (b, k, n)."""
+    initial = taken(task.ground.parts[index].initial, beats)
+    return initial.seen_corners(_measurement(task, task.settings.parts[index], beats))
 
 
 def _group_data(task: _Task, index: int, shape: Shape, rows: Beats) -> GroupData:
@@ -278,13 +299,20 @@ def _group_data(task: _Task, index: int, shape: Shape, rows: Beats) -> GroupData
     usable = (np.minimum(-lower, upper) if shape.law_degree == 1 else span) > 1e-6 * span
     widths = initial.widths.reshape(*lead, len(e))
     turn = np.linalg.norm(np.linalg.inv(whitening[:, :1]) @ whitening, 2, axis=(-2, -1))
+    growth = (seen / widths).max(-1)
+    if not isinstance(task.disturbance, DisturbanceBox):
+        growth = initial.seen_growth(_measurement(task, part, beats)).reshape(lead)
+    corners = np.zeros((len(rows), 0, len(e)))
+    if shape.corners:
+        corners = _corners(task, index, beats).reshape(len(rows), -1, len(e))
     return GroupData(
         map_values=values.reshape(*lead, *values.shape[1:]),
         input_map=ground.input_map[rows][:, :, :, e[:, None], c] * usable[:, None, None, None, :],
         whitening=whitening,
         metric=own.metric[rows],
         seen=seen.max(1),
-        growth=((seen / widths).max(-1) * turn).max(1),
+        corners=corners,
+        growth=(growth * turn).max(1),
         lower=np.where(usable, lower, -span),
         upper=np.where(usable, upper, span),
         usable=usable,

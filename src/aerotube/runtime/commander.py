@@ -13,7 +13,7 @@ from aerotube.aircraft.base import Aircraft
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.dynamics.step import step
 from aerotube.flight.estimator import Estimate, ExtendedKalmanFilter
-from aerotube.runtime.kernels import difference
+from aerotube.runtime.kernels import clamp, increments, plausible
 from aerotube.runtime.messages import Rung
 
 Array = NDArray[np.float64]
@@ -106,6 +106,7 @@ class Commander:
         self._relative = coordinates.kind == "relative"
         self._low, self._high = aircraft.control_lower, aircraft.control_upper
         self._compiled: Any = aircraft.compiled_step()
+        self._realise = aircraft.compiled_realise()
         self._parameters = np.asarray(aircraft.parameter_nominal, dtype=float)
         self._still = np.zeros(6)
         self.begin()
@@ -120,17 +121,14 @@ class Commander:
 
     def believes(self, state: Array, beat: Beat) -> bool:
         """Whether a measured state can be used; three unlikely ones in a row are believed."""
-        if not np.isfinite(state).all():
-            return False
-        # as far from the unit sphere as this no attitude is measured, and no airspeed is there to divide by
-        if abs(float(state[3:7] @ state[3:7]) - 1.0) > 0.1 or not 1.0 < float(state[:3] @ state[:3]) < 1e8:
-            return False
         expected = beat.nominal_state if self._expected is None else self._expected
-        if (np.abs(difference(state, expected, self._relative)) <= self.gate).all():
+        if plausible(state, expected, self.gate, self._relative):
             self._doubted = 0
             return True
         self._doubted += 1
-        return self._doubted >= 3 and bool(self.aircraft.in_domain(state))
+        everywhere = np.full(8, np.inf)
+        likely = plausible(state, expected, everywhere, self._relative) and bool(self.aircraft.in_domain(state))
+        return likely and self._doubted >= 3
 
     def command(self, number: int, measured: Array | None, beat: Beat) -> Command:
         """Command of a beat.
@@ -156,15 +154,23 @@ class Commander:
         if self.estimator is not None and self._estimate is not None:
             state = self._corrected(number, state, measured is not None)
         self._state = state
-        error = difference(state, beat.nominal_state, self._relative)
-        increment = beat.gains @ error
-        control = self.aircraft.realise(state, beat.nominal_control, increment)
-        if not np.isfinite(control).all():
+        error, increment = increments(beat.gains, state, beat.nominal_state, self._relative)
+        if not np.isfinite(increment).all():
             return self._alone(beat, source)
-        control = np.clip(control, self._low, self._high)
-        at_limit = (control <= self._low) | (control >= self._high)
-        inside = (beat.nominal_control > self._low) & (beat.nominal_control < self._high)
-        return Command(control, error, beat.rung, source, at_limit & inside & (increment != 0.0))
+        if self._realise is None:
+            control = self.aircraft.realise(state, beat.nominal_control, increment)
+        else:
+            control = self._realise(state, beat.nominal_control, increment)
+        control, clamped = clamp(control, beat.nominal_control, increment, self._low, self._high)
+        return Command(control, error, beat.rung, source, clamped)
+
+    def rehearse(self, number: int, beat: Beat) -> None:
+        """Do what the next beat will ask for, to no effect: code and numbers that were just used come faster."""
+        state = beat.nominal_state if self._expected is None else self._expected
+        kept = self._state, self._estimate, self._age, self._doubted
+        self.believes(state, beat)
+        self.command(number, state, beat)
+        self._state, self._estimate, self._age, self._doubted = kept
 
     def after(self, number: int, beat: Beat, control: Array) -> None:
         """What can wait until the command is out: carry state and estimate on to the next beat."""

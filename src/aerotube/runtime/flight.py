@@ -30,7 +30,7 @@ from aerotube.runtime.plant import Actuators, Truth, World
 from aerotube.runtime.record import Record
 from aerotube.runtime.session import Session
 from aerotube.runtime.watchdog import Watchdog
-from aerotube.runtime.windows import Task
+from aerotube.runtime.windows import Task, compute
 from aerotube.runtime.workers import Workers
 
 Array = NDArray[np.float64]
@@ -114,8 +114,8 @@ class Options:
             wrong = f"duration is {self.duration:g} s; give a positive time"
         elif self.window < 1 or self.reuse < 0 or self.delay < 0 or self.workers < 1 or self.substeps < 1:
             wrong = "window, workers and substeps must be at least 1, reuse and delay not negative"
-        elif self.reuse >= self.window:
-            wrong = f"a reuse of {self.reuse} does not fit a window of {self.window} beats; choose a longer window"
+        elif self.window % (self.reuse + 1):
+            wrong = f"a window of {self.window} beats is no whole number of laws for {self.reuse + 1} beats each"
         elif self.faults and not np.isfinite(self.speed):
             wrong = "faults need a clock; choose a speed"
         elif self.faults < 0:
@@ -214,11 +214,11 @@ def fly(
     workers = Workers(1)
     channel: Channel = home if faults is None else FaultyChannel(home, faults)
     session = Session(channel, world.token if own else None)
-    pilot = Pilot(session, task, guidance, commander, workers, beats, options.speed, estimator, faults)
+    pilot = Pilot(session, task, guidance, commander, workers, beats, options.speed, faults)
     interval = sys.getswitchinterval()
     try:
         say("compiling, or loading compiled code")
-        warm_up = _warm_up(prepared, commander)
+        warm_up = _warm_up(prepared, commander, task)
         say(f"code ready in {warm_up:.1f} s; computing the first window")
         first_window = pilot.prepare()
         say(f"first window in {first_window:.2f} s; take-off")
@@ -277,12 +277,16 @@ def make_world(prepared: Prepared, options: Options) -> World:
 def make_task(prepared: Prepared, options: Options) -> Task:
     """What every window is computed from; the noisy setting of the synthesis where the law sees noise."""
     noisy = _noise(prepared, options) > 0 and not options.estimator
+    settings = replace(prepared.settings["noise" if noisy else "noise_free"], reuse=options.reuse)
+    if settings.law_degree > 1:
+        raise InputError(
+            f"flight: laws of degree {settings.law_degree} are not flown against the clock; set law_degree = 1."
+        )
     return Task(
         aircraft=prepared.model,
         disturbance=prepared.disturbance,
-        settings=prepared.settings["noise" if noisy else "noise_free"],
+        settings=settings,
         window=options.window,
-        reuse=options.reuse,
         around=max(1, round(options.around / prepared.nominal.dt)),
         tolerance=options.tolerance,
         workers=options.workers,
@@ -347,7 +351,7 @@ def _start(world: World, channel: Any, options: Options) -> tuple[Any, Any]:
     return process, report
 
 
-def _warm_up(prepared: Prepared, commander: Commander) -> float:
+def _warm_up(prepared: Prepared, commander: Commander, task: Task) -> float:
     """Run everything once that compiles when it runs first; seconds it took."""
     clock = time.perf_counter()
     nominal = prepared.nominal
@@ -362,6 +366,7 @@ def _warm_up(prepared: Prepared, commander: Commander) -> float:
         command = commander.command(0, start, beat)
         commander.after(0, beat, command.control)
     commander.begin()
+    compute(task, nominal, range(1))
     return time.perf_counter() - clock
 
 

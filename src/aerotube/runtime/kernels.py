@@ -48,3 +48,42 @@ def difference(state: Array, nominal: Array, relative: bool) -> Array:
     out[0], out[1], out[2], out[3] = speed - speed_n, alpha - alpha_n, state[8] - nominal[8], theta
     out[4], out[5], out[6], out[7] = beta - beta_n, state[7] - nominal[7], state[9] - nominal[9], phi
     return out
+
+
+@njit(cache=True)
+def plausible(state: Array, expected: Array, gate: Array, relative: bool) -> bool:
+    """Whether a measured state (n,) is finite, an attitude and an airspeed, and within a gate (8,) of the expected."""
+    if not np.isfinite(state).all():
+        return False
+    # so far from the unit sphere no attitude is measured; the airspeed is divided by
+    length = state[3] ** 2 + state[4] ** 2 + state[5] ** 2 + state[6] ** 2
+    speed = state[0] ** 2 + state[1] ** 2 + state[2] ** 2
+    if abs(length - 1.0) > 0.1 or not 1.0 < speed < 1e8:
+        return False
+    return bool((np.abs(difference(state, expected, relative)) <= gate).all())
+
+
+@njit(cache=True)
+def increments(gains: Array, state: Array, nominal: Array, relative: bool) -> tuple[Array, Array]:
+    """Error (8,) and increments (4,) of a linear law (4, 8)."""
+    error = difference(state, nominal, relative)
+    out = np.zeros(4)
+    for i in range(4):
+        for j in range(8):
+            out[i] += gains[i, j] * error[j]
+    return error, out
+
+
+@njit(cache=True)
+def clamp(control: Array, nominal: Array, increment: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Controls (4,) within their limits, whatever was asked for, and where a limit that the nominal is off holds them.
+
+    A control that is not finite becomes the nominal's.
+    """
+    out, held = np.empty(4), np.zeros(4, np.bool_)
+    for i in range(4):
+        wanted = control[i] if np.isfinite(control[i]) else nominal[i]
+        out[i] = min(max(wanted, low[i]), high[i])
+        inside = low[i] < nominal[i] < high[i]
+        held[i] = inside and increment[i] != 0.0 and (out[i] <= low[i] or out[i] >= high[i])
+    return out, held

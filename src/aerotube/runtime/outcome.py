@@ -101,7 +101,7 @@ def realtime_factor(flown: Flown) -> float | None:
     if not done:
         return None
     taken = sum(w.done - w.started for w in done)
-    return float(sum(w.beats for w in done) * flown.world.dt / taken)
+    return float(sum(w.computed for w in done) * flown.world.dt / taken)
 
 
 def latency(flown: Flown) -> Array:

@@ -10,12 +10,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from aerotube.flight.estimator import ExtendedKalmanFilter
 from aerotube.nominal import Nominal
 from aerotube.runtime.commander import Beat, Commander
 from aerotube.runtime.faults import Faults
 from aerotube.runtime.guidance import Guidance
-from aerotube.runtime.messages import Kind, Message, Rung
+from aerotube.runtime.messages import Kind, Message, Rung, decode
 from aerotube.runtime.record import Record, WindowTimes
 from aerotube.runtime.session import Session
 from aerotube.runtime.windows import Laws, Task, compute
@@ -26,6 +25,8 @@ Array = NDArray[np.float64]
 #: Share of a beat after which a measurement that has not come is done without.
 WAIT = 0.15
 _HEARTBEAT = 10  # beats between heartbeats
+_REHEARSAL = 1e-3  # s before a measurement is due
+_ALERT = 5e-4  # s after it is due for which it is waited for without sleeping: waking up would take as long
 _GONE = 10.0  # s without a measurement after which the aircraft is taken to be gone
 
 Flown = tuple[Array, NDArray[np.int64], Array]  # gains, rungs and sizes of a beat
@@ -46,8 +47,6 @@ class Pilot:
         To fly, all manoeuvres together.
     speed : float
         Seconds of flight for one of the clock; infinite: no clock, every law is waited for.
-    estimator : ExtendedKalmanFilter, optional
-        The commander's, about the planned nominal.
     faults : Faults, optional
         That hit the workers.
 
@@ -67,7 +66,6 @@ class Pilot:
         workers: Workers,
         beats: int,
         speed: float,
-        estimator: ExtendedKalmanFilter | None = None,
         faults: Faults | None = None,
     ) -> None:
         self.session, self.task, self.guidance = session, task, guidance
@@ -77,7 +75,6 @@ class Pilot:
         self.length = guidance.planned.dt / speed if np.isfinite(speed) else 0.0
         self.record = Record(beats, 16, len(task.settings.parts))
         self.stop = threading.Event()
-        self._estimator = estimator
         self._nominal = guidance.planned
         self._windows = [
             (m * self.horizon + first, min(task.window, self.horizon - first))
@@ -93,6 +90,8 @@ class Pilot:
         self._memory: dict[int, Laws] = {}
         self._offset = np.inf
         self._heard = np.inf
+        self._now = -1
+        self._longest = 0.1
 
     @property
     def clocked(self) -> bool:
@@ -113,6 +112,7 @@ class Pilot:
             return
         beat, early = 0, None
         while beat < self.beats and not self.stop.is_set():
+            self._rehearse(beat)
             message, over = self._await(beat, early)
             early = None
             if over:
@@ -155,11 +155,17 @@ class Pilot:
             now = time.monotonic()
             known = self.clocked and np.isfinite(self._offset)
             until = self._due(beat) + WAIT * self.length if known else now + _GONE
-            message = self.session.receive(max(until - now, 0.0))
+            message = None
+            if known and abs(self._due(beat) - now) < _REHEARSAL:
+                alert = min(self._due(beat) + _ALERT, until)
+                while message is None and time.monotonic() < alert:
+                    message = self.session.receive(0.0)
+            if message is None:
+                message = self.session.receive(max(until - time.monotonic(), 0.0))
             if message is None:
                 quiet = now - self._heard > _GONE
                 return None, not known or quiet
-            self._heard = time.monotonic()
+            self._heard = self.session.arrived
             if message.kind == Kind.GOODBYE:
                 return None, True
             if message.kind == Kind.HELLO:  # our answer was lost, or it asks again
@@ -173,21 +179,14 @@ class Pilot:
     def _beat(self, beat: int, message: Message | None) -> None:
         """One beat: from the measurement to the command, and then whatever can wait."""
         record, commander = self.record, self.commander
-        arrived = time.monotonic()
+        arrived = self._heard if message is not None else time.monotonic()
         number = beat % self.horizon
         if number == 0:
             commander.begin()
         if beat not in self._planned:
             self._collect(0.0 if self.clocked else 60.0, beat)
         gains, rungs, size, late = self._best(beat)
-        nominal = self._nominals.get(beat, self._nominal)
-        flown = Beat(
-            nominal.states[number],
-            nominal.controls[number],
-            gains,
-            Rung(int(rungs.max())),
-            nominal.states[number + 1],
-        )
+        flown = self._flown(beat, gains, rungs)
         measured = None
         if message is not None:
             state = np.array(message.values[: len(commander.aircraft.state_names)])
@@ -195,8 +194,6 @@ class Pilot:
                 measured = state
             else:
                 record.refused["unlikely" if np.isfinite(state).all() else "not finite"] += 1
-        if self._estimator is not None:
-            commander.estimator = replace(self._estimator, nominal=nominal)
         command = commander.command(number, measured, flown)
         self.session.send(Kind.COMMAND, beat, tuple(command.control.tolist()), int(command.rung))
         sent = time.monotonic()
@@ -209,6 +206,30 @@ class Pilot:
         record.arrived[beat] = arrived if message is not None else np.nan
         record.sent[beat] = sent
         self._afterwards(beat)
+
+    def _flown(self, beat: int, gains: Array, rungs: NDArray[np.int64]) -> Beat:
+        number, nominal = beat % self.horizon, self._nominals.get(beat, self._nominal)
+        estimator = self.commander.estimator
+        if estimator is not None and estimator.nominal is not nominal:
+            self.commander.estimator = replace(estimator, nominal=nominal)
+        return Beat(
+            nominal.states[number],
+            nominal.controls[number],
+            gains,
+            Rung(int(rungs.max())),
+            nominal.states[number + 1],
+        )
+
+    def _rehearse(self, beat: int) -> None:
+        """Just before a measurement is due, go through the beat's motions, so that it finds everything at hand."""
+        left = self._due(beat) - _REHEARSAL - time.monotonic()
+        if not self.clocked or not np.isfinite(self._offset) or left < 0 or beat % self.horizon == 0:
+            return
+        time.sleep(left)
+        gains, rungs, _, _ = self._best(beat)
+        message = Message(Kind.MEASUREMENT, 0, 0, values=tuple(np.zeros(16).tolist())).encode()
+        np.array(decode(message).values[:13])
+        self.commander.rehearse(beat % self.horizon, self._flown(beat, gains, rungs))
 
     def _skip(self, beat: int) -> None:
         """A beat whose measurement and moment have passed."""
@@ -237,6 +258,7 @@ class Pilot:
 
     def _afterwards(self, beat: int) -> None:
         """Ask for the next window, take in what is done, look after the workers."""
+        self._now = beat
         self.workers.supervise()
         self._collect(0.0)
         if self._asked < len(self._windows) and beat >= self._windows[self._asked - 1][0]:
@@ -258,20 +280,28 @@ class Pilot:
             lead = self._windows[self._asked - 1][1] * self.length
         programs = len(self.task.settings.parts) * count / (self.task.reuse + 1)
         work = partial(
-            compute,
-            self.task,
+            self._compute,
             nominal,
-            range(first, first + count),
-            before=self._memory.get(first),
-            deadline=max(lead * self.task.workers / (1.5 * programs), 1e-3) if np.isfinite(lead) else None,
+            start,
+            count,
+            max(lead * self.task.workers / (1.5 * programs), 1e-3) if np.isfinite(lead) else None,
         )
         job = Job(
             start,
             self.faults.wrap(work) if self.faults is not None and self._asked else work,
-            patience=max(0.6 * lead, 0.02) if np.isfinite(lead) else np.inf,
+            patience=max(0.6 * lead, 3.0 * self._longest) if np.isfinite(lead) else np.inf,
         )
         self._asked += 1
         self.workers.submit(job)
+
+    def _compute(self, nominal: Nominal, start: int, count: int, deadline: float | None) -> Laws | None:
+        """Laws of what is left of a window when its turn comes; None if nothing is."""
+        first = start % self.horizon
+        begin = first + max(0, self._now + 1 - start) if self.clocked and start else first
+        if begin >= first + count:
+            return None
+        beats = range(begin, first + count)
+        return compute(self.task, nominal, beats, before=self._memory.get(begin), deadline=deadline)
 
     def _collect(self, timeout: float, wanted: int | None = None) -> bool:
         """Take in finished windows; with a wanted beat, wait for the one that holds it."""
@@ -300,7 +330,11 @@ class Pilot:
         self.record.windows.append(times)
         laws: Laws | None = job.result
         if laws is None:
+            times.error = times.error or "overtaken by the flight before its turn came"
             return
+        first = int(laws.beats[0])
+        times.computed = laws.window
+        self._longest = max(0.7 * self._longest, job.done - job.started)
         times.designed, times.kept, times.seconds = laws.designed, int(laws.kept.sum()), laws.seconds
         self.record.events += [(job.done, message) for message in laws.messages]
         self._memory[first] = laws
@@ -309,4 +343,4 @@ class Pilot:
             if j < laws.window or (laws.rungs[j] <= Rung.LAST).all():
                 store[int(beat)] = (laws.gains[j], laws.rungs[j], laws.size[j])
         for j, gain in enumerate(laws.lqr):
-            self._lqr[start + j] = gain
+            self._lqr[manoeuvre * self.horizon + first + j] = gain

@@ -26,6 +26,8 @@ class WindowTimes:
     asked, started, done, needed : float
         ``needed`` is when its first beat was due; ``done`` is NaN if it never was.
     attempts : int
+    computed : int
+        Beats that were still to come when its turn came, and have laws.
     designed, kept : int
         Programs of laws solved, and beats whose old law was found to hold.
     seconds : dict of float
@@ -40,6 +42,7 @@ class WindowTimes:
     done: float
     needed: float
     attempts: int
+    computed: int = 0
     designed: int = 0
     kept: int = 0
     seconds: dict[str, float] = field(default_factory=dict)

@@ -24,11 +24,14 @@ class Session:
     ----------
     refused : Counter
         Datagrams that were not taken, by reason.
+    arrived : float
+        When the last datagram came in (monotonic s), before it was looked at.
     """
 
     def __init__(self, channel: Channel, token: int | None) -> None:
         self.channel, self.token = channel, token
         self.refused: Counter[str] = Counter()
+        self.arrived = -float("inf")
         self._sent = 0
         self._seen = -1
 
@@ -44,6 +47,7 @@ class Session:
             data = self.channel.receive(max(until - time.monotonic(), 0.0))
             if data is None:
                 return None
+            self.arrived = time.monotonic()
             message = self._taken(data)
             if message is not None:
                 return message

@@ -4,8 +4,8 @@ Everything that is flown is measured first: by a size program for every beat and
 flown. The same measurement decides what else may be flown there:
 
 * a law stopped at the solver's deadline, if its size is certified;
-* the law of an earlier beat (asked for by a reuse, or because a beat has none of its own), if its certified size is
-  no larger than that of the nominal alone and it keeps the controls within their limits;
+* the law of an earlier beat, where a beat has none of its own, if its certified size is no larger than that of the
+  nominal alone and it keeps the controls within their limits;
 * the law that the last manoeuvre flew at the same beat, if the nominal has moved by no more than it tolerates: its
   certified size on the new nominal is at most a stated factor of its size where it was made, in the same metric, and
   it keeps the controls within their limits there. Then nothing is designed anew (event-triggered recomputation).
@@ -46,8 +46,6 @@ class Task:
     settings : SynthesisSettings
     window : int
         Beats of a window.
-    reuse : int
-        Beats that a law serves beyond its own.
     around : int
         Beats before and after the window that the forecast of errors and costs looks at; the numbers are those of
         the whole manoeuvre where it is no longer than that.
@@ -63,11 +61,15 @@ class Task:
     disturbance: DisturbanceBox
     settings: SynthesisSettings
     window: int = 16
-    reuse: int = 0
     around: int = 60
     validity: int = 3
     tolerance: float | None = None
     workers: int = 2
+
+    @property
+    def reuse(self) -> int:
+        """Beats that a law serves beyond its own."""
+        return self.settings.reuse
 
     @property
     def coordinates(self) -> ErrorCoordinates:
@@ -152,6 +154,7 @@ def compute(
     """
     seconds: dict[str, float] = {}
     first = max(beats.start - task.around, 0)
+    first -= first % (task.reuse + 1)
     last = min(beats.stop + max(task.around, task.validity), nominal.beats)
     cut = Nominal(nominal.dt, nominal.states[first : last + 1], nominal.controls[first:last])
     own = np.arange(beats.start, beats.stop) - first
@@ -162,7 +165,10 @@ def compute(
         kept, sized = still_valid(task, cut, own, before)
         seconds["check"] = time.perf_counter() - clock
         clock = time.perf_counter()
-    fresh = np.flatnonzero(~kept)[:: task.reuse + 1] if task.reuse else np.flatnonzero(~kept)
+    if task.reuse:  # beats that share a law keep it together or not at all
+        shared = (own + first) // (task.reuse + 1)
+        kept &= ~np.isin(shared, shared[~kept])
+    fresh = np.flatnonzero(~kept)
     made = None
     if len(fresh):
         made = _design(task, cut, own[fresh], deadline)
@@ -173,7 +179,7 @@ def compute(
     return Laws(
         beats=np.concatenate([own, behind]) + first,
         window=len(own),
-        designed=len(fresh) * len(task.settings.parts),
+        designed=-(-len(fresh) // (task.reuse + 1)) * len(task.settings.parts),
         seconds=seconds,
         messages=() if made is None else tuple(made.messages),
         **laws,
@@ -204,16 +210,12 @@ def still_valid(task: Task, nominal: Nominal, beats: NDArray[np.intp], before: L
 
 
 def _design(task: Task, nominal: Nominal, beats: NDArray[np.intp], deadline: float | None) -> Design:
-    steps = np.diff(beats)
-    stride = int(steps[0]) if len(steps) else 1
-    even = bool((steps == stride).all())
-    wanted = range(int(beats[0]), int(beats[-1]) + 1, stride if even else 1)
     return design(
         task.aircraft,
         nominal,
         task.disturbance,
         task.settings,
-        beats=wanted,
+        beats=beats,
         workers=task.workers,
         deadline=deadline,
     )
@@ -288,15 +290,14 @@ def _assemble(
 def _hold(
     task: Task, gains: Array, rungs: NDArray[np.int64], origin: NDArray[np.int64], beats: NDArray[np.intp]
 ) -> None:
-    """Let beats without a law of their own hold the one before them; within a reuse, that is the plan."""
+    """Let beats without a law of their own hold the one before them."""
     for i, part in enumerate(task.settings.parts):
         for j in range(1, len(beats)):
             if origin[j, i] >= 0 or origin[j - 1, i] < 0:
                 continue
             source = origin[j, i] = origin[j - 1, i]
             gains[beats[j], part.controls] = gains[beats[source], part.controls]
-            planned = j - source <= task.reuse and j < len(beats)
-            rungs[j, i] = rungs[source, i] if planned and rungs[source, i] != Rung.LAST else Rung.LAST
+            rungs[j, i] = Rung.LAST
 
 
 def _metric(
