@@ -8,7 +8,6 @@ each control's limit a constraint on the initial ellipsoid with a multiplier of 
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -18,14 +17,14 @@ from unittest import mock
 import numpy as np
 
 from aerotube import scenario, sos
+from aerotube.compensation import increment
 from aerotube.compensation.groundwork import effort_weights
 from aerotube.compensation.settings import COUPLED, DECOUPLED, Part
 from aerotube.compensation.synthesis import synthesise
 from aerotube.dynamics import ErrorCoordinates, linearise
-from aerotube.dynamics.error_map import taylor_map
 from aerotube.preparation import Prepared, prepare
 from aerotube.tube import ellipsoid, parameter_ranges, riccati, tracking_weights
-from benchmarks.neutral import Array, IntArray, Linear, Lmi, Norm, Program, Sos, from_data, monomials
+from benchmarks.neutral import Array, Program, from_data
 
 LONGITUDINAL, LATERAL = DECOUPLED
 WHOLE = COUPLED[0]
@@ -116,123 +115,30 @@ def paper_programs(part: Part, law_degree: int, beats: Sequence[int]) -> list[Pr
     aircraft, nominal = made.model, made.nominal
     coordinates = ErrorCoordinates("euler")
     own, controls = list(part.errors), list(part.controls)
-    low, high = parameter_ranges(aircraft, made.disturbance.relative)[0]
-    centre = (0.5 * (low + high), *aircraft.parameter_nominal[1:])
-    linear = linearise(aircraft, nominal, coordinates, centre)
+    ranges = parameter_ranges(aircraft, made.disturbance.relative)
+    linear = linearise(aircraft, nominal, coordinates, ranges.mean(1))
     shapes = riccati(
         linear.A[:, own][:, :, own],
         linear.B[:, own][:, :, controls],
         tracking_weights(nominal.states, coordinates)[1:, own][:, :, own],
         effort_weights(aircraft, nominal, made.settings["noise_free"].control_weight)[:, controls][:, :, controls],
     )
-    lower, upper = aircraft.virtual_limits(nominal.states[:-1], nominal.controls)
-    maps = taylor_map(
-        aircraft, nominal, list(beats), coordinates, 3, errors=own, increments=(), parameters=(0,), at=centre
+    lower, upper = (x[list(beats)][:, controls] for x in aircraft.virtual_limits(nominal.states[:-1], nominal.controls))
+    span = 0.5 * (upper - lower)
+    chosen = np.array(beats)
+    rho = ellipsoid.least_size_around_box(shapes[chosen], made.disturbance.half_widths[own])
+    whitening = ellipsoid.whitening(shapes[chosen], rho)
+    terminal = shapes[np.minimum(chosen + 1, nominal.beats - 1)]
+    data = increment.IncrementData(
+        increment=increment.sampled(aircraft, nominal, chosen, coordinates, part, ranges, whitening),
+        input_map=np.linalg.solve(whitening, linear.B[chosen][:, own][:, :, controls] * span[:, None]),
+        terminal=np.swapaxes(whitening, 1, 2) @ terminal @ whitening / rho[:, None, None],
+        room_below=-lower / span,
+        room_above=upper / span,
     )
-    out = []
-    for position, beat in enumerate(beats):
-        shape, terminal = shapes[beat], shapes[min(beat + 1, nominal.beats - 1)]
-        rho = ellipsoid.least_size_around_box(shape, made.disturbance.half_widths[own])
-        whitening = ellipsoid.whitening(shape, rho)
-        span = 0.5 * (upper - lower)[beat, controls]
-        out.append(
-            increment_program(
-                f"beat {beat}",
-                _whitened_increment(maps.coefficients[position, own], maps.space, whitening, 0.5 * (high - low)),
-                np.linalg.solve(whitening, linear.B[beat][np.ix_(own, controls)] * span),
-                whitening.T @ terminal @ whitening / rho,
-                -lower[beat, controls] / span,
-                upper[beat, controls] / span,
-                law_degree,
-            )
-        )
-    return out
-
-
-def _whitened_increment(coefficients: Array, space: Any, whitening: Array, half_range: float) -> tuple[IntArray, Array]:
-    """Coefficients (n, k) of ``T^-1 (x+(T z, s) - T z)`` in monomials of (z, s), by interpolation."""
-    n = len(whitening)
-    exponents = space.exponents
-    points = sos.Product(sos.Ball(n), sos.Interval()).sample(4 * len(exponents), seed=3)
-    start = points[:, :n] @ whitening.T
-    end = space.monomials(np.column_stack([start, half_range * points[:, n:]])) @ coefficients.T
-    values = np.linalg.solve(whitening, (end - start).T).T
-    return exponents, np.asarray(np.linalg.lstsq(monomials(points, exponents), values, rcond=None)[0].T, dtype=float)
-
-
-def increment_program(
-    name: str,
-    increment: tuple[IntArray, Array],
-    input_map: Array,
-    terminal: Array,
-    room_below: Array,
-    room_above: Array,
-    law_degree: int,
-) -> Program:
-    """Minimise rho such that ``rho - 2 z'(F + B K phi(z)) - z'E z`` is SOS on the sphere times the interval of s.
-
-    Parameters
-    ----------
-    name : str
-    increment : exponents (k, n + 1) and coefficients (n, k)
-        F, of degree 3 in (z, s).
-    input_map : (n, m)
-        B, for controls in units of their half range.
-    terminal : (n, n)
-        Lower bound of the terminal shape E.
-    room_below, room_above : (m,)
-        Increments that the limits leave, both positive.
-    law_degree : int
-        phi holds the monomials of degrees 1 to `law_degree`.
-    """
-    exponents, F = increment
-    n, m = input_map.shape
-    law = np.array([e for e in itertools.product(range(law_degree + 1), repeat=n) if 1 <= sum(e) <= law_degree])
-    pairs = [(i, j) for i in range(n) for j in range(i + 1)]
-    size = 1 + len(pairs) + m * len(law)
-    first_gain = 1 + len(pairs)
-    tube = _Collector(n + 1, size)
-    tube.add(np.zeros(n + 1), 1.0, 0)
-    unit = np.eye(n + 1, dtype=int)
-    for index, (i, j) in enumerate(pairs):
-        tube.add(unit[i] + unit[j], -1.0 if i == j else -2.0, 1 + index)
-    for i in range(n):
-        for exponent, value in zip(exponents, F[i], strict=True):
-            tube.add(unit[i] + exponent, -2.0 * value)
-        for k in range(m):
-            for j, exponent in enumerate(law):
-                tube.add(unit[i] + [*exponent, 0], -2.0 * input_map[i, k], first_gain + k * len(law) + j)
-    constraints: list[Sos | Lmi | Linear | Norm] = [tube.sos("tube", (("sphere", n), ("ball", 1)))]
-    for k in range(m):
-        for side, sign, room in (("below", 1.0, room_below[k]), ("above", -1.0, room_above[k])):
-            limit = _Collector(n, size)
-            limit.add(np.zeros(n), room)
-            for j, exponent in enumerate(law):
-                limit.add(exponent, sign, first_gain + k * len(law) + j)
-            constraints.append(limit.sos(f"{side}/{k}", (("ball", n),)))
-    forms = np.zeros((size, n, n))
-    for index, (i, j) in enumerate(pairs):
-        forms[1 + index, i, j] = forms[1 + index, j, i] = 1.0
-    constraints.append(Lmi("terminal", -terminal, forms))
-    objective = np.zeros(size)
-    objective[0] = 1.0
-    return Program(name, objective, tuple(constraints))
-
-
-class _Collector:
-    """Adds up terms of a polynomial that is affine in the decisions."""
-
-    def __init__(self, coordinates: int, size: int) -> None:
-        self._size = size
-        self._rows: dict[tuple[int, ...], Array] = {(0,) * coordinates: np.zeros(1 + size)}
-
-    def add(self, exponent: Any, value: float, variable: int = -1) -> None:
-        power = tuple(int(p) for p in exponent)
-        self._rows.setdefault(power, np.zeros(1 + self._size))[1 + variable] += value
-
-    def sos(self, name: str, factors: tuple[tuple[str, int], ...]) -> Sos:
-        table = np.array(list(self._rows.values()))
-        return Sos(name, factors, 4, np.array(list(self._rows), dtype=np.int64), table[:, 0], table[:, 1:])
+    shape = increment.Shape(len(own), len(controls), 1, law_degree)
+    problem = increment.program_data(shape, data)
+    return [from_data(f"beat {beat}", problem.structure, problem, i) for i, beat in enumerate(beats)]
 
 
 def synthetic_map(states: int, degree: int, seed: int = 1) -> Program:

@@ -54,16 +54,15 @@ def test_the_table_has_the_sizes_of_the_literature() -> None:
 
 
 def test_the_paper_tube_is_the_increment_of_the_flown_step() -> None:
-    """At no compensation and no terminal shape, rho - f/2 is z' T^-1 (x+ - x) with the true step, to third order."""
+    """At no compensation and no terminal shape, rho - f/2 is z' T^-1 (x+ - x) with the true step, but for its fourth order."""
     program = made("lon-paper")
     tube = program.constraints[0]
     assert isinstance(tube, Sos)
     points = sphere_times_interval(50, 4)
-    scale = 0.05
     setting = programs.manoeuvre("smooth")
     half = list(programs.LONGITUDINAL.errors)
     whitening, low, high = _paper_whitening(setting)
-    z, s = scale * points[:, :4], scale * points[:, 4:]
+    z, s = points[:, :4], points[:, 4:]
     error = np.zeros((1, len(z), 8))
     error[0][:, half] = z @ whitening.T
     sigma = 0.5 * (low + high) + 0.5 * (high - low) * s
@@ -73,7 +72,7 @@ def test_the_paper_tube_is_the_increment_of_the_flown_step() -> None:
     increment = np.linalg.solve(whitening, (end - error[0][:, half]).T).T
     expected = -2.0 * np.sum(z * increment, axis=1)
     value = monomials(np.column_stack([z, s]), tube.exponents) @ tube.c
-    assert np.max(np.abs(value - expected)) < 1e-3 * np.max(np.abs(expected))
+    assert np.max(np.abs(value - expected)) < 2e-2 * np.max(np.abs(expected))
 
 
 def _paper_whitening(setting):
