@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from aerotube import flight
 from aerotube.dynamics.errors import ErrorCoordinates
@@ -216,6 +217,8 @@ def fly(
     session = Session(channel, world.token if own else None)
     pilot = Pilot(session, task, guidance, commander, workers, beats, options.speed, faults)
     interval = sys.getswitchinterval()
+    # threads of BLAS that wait for work by spinning would take the cores from the aircraft and the solver
+    blas = threadpool_limits(limits=1, user_api="blas")
     try:
         say("compiling, or loading compiled code")
         warm_up = _warm_up(prepared, commander, task)
@@ -227,6 +230,7 @@ def fly(
         gc.freeze()
         _run(pilot, view)
     finally:
+        blas.restore_original_limits()
         sys.setswitchinterval(interval)
         gc.unfreeze()
         workers.close()

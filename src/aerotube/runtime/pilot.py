@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 #: Share of a beat after which a measurement that has not come is done without.
 WAIT = 0.15
 _HEARTBEAT = 10  # beats between heartbeats
-_REHEARSAL = 1e-3  # s before a measurement is due
-_ALERT = 5e-4  # s after it is due for which it is waited for without sleeping: waking up would take as long
+_REHEARSAL = 1.2e-3  # s before a measurement is expected
+_ALERT = 7e-4  # s either side of that for which it is waited for without sleeping: waking up would take as long
 _GONE = 10.0  # s without a measurement after which the aircraft is taken to be gone
 
 Flown = tuple[Array, NDArray[np.int64], Array]  # gains, rungs and sizes of a beat
@@ -90,6 +90,7 @@ class Pilot:
         self._memory: dict[int, Laws] = {}
         self._offset = np.inf
         self._heard = np.inf
+        self._lateness = 0.0
         self._now = -1
         self._longest = 0.1
 
@@ -156,8 +157,9 @@ class Pilot:
             known = self.clocked and np.isfinite(self._offset)
             until = self._due(beat) + WAIT * self.length if known else now + _GONE
             message = None
-            if known and abs(self._due(beat) - now) < _REHEARSAL:
-                alert = min(self._due(beat) + _ALERT, until)
+            expected = self._due(beat) + self._lateness
+            if known and abs(expected - now) < _REHEARSAL:
+                alert = min(expected + _ALERT, until)
                 while message is None and time.monotonic() < alert:
                     message = self.session.receive(0.0)
             if message is None:
@@ -173,6 +175,8 @@ class Pilot:
             if message.kind == Kind.MEASUREMENT:
                 if message.beat >= beat:
                     self._offset = min(self._offset, self._heard - message.beat * self.length)
+                    late = min(self._heard - self._due(message.beat), WAIT * self.length)
+                    self._lateness += 0.1 * (late - self._lateness)
                     return message, False
                 self.record.refused["too late"] += 1
 
@@ -222,7 +226,7 @@ class Pilot:
 
     def _rehearse(self, beat: int) -> None:
         """Just before a measurement is due, go through the beat's motions, so that it finds everything at hand."""
-        left = self._due(beat) - _REHEARSAL - time.monotonic()
+        left = self._due(beat) + self._lateness - _REHEARSAL - time.monotonic()
         if not self.clocked or not np.isfinite(self._offset) or left < 0 or beat % self.horizon == 0:
             return
         time.sleep(left)

@@ -29,6 +29,7 @@ _HELLO_EVERY = 0.05  # s
 _LEAD = 0.05  # s between the controller's word that it is ready and take-off
 #: Share of a beat for which the aircraft waits for the beat's command before it flies on with the last one.
 GRACE = 0.3
+_ALERT = 1e-3  # s for which a command is waited for without sleeping
 _PATIENCE = 30.0  # s without a word from the controller, in a flight without a clock, before it is given up
 
 
@@ -311,8 +312,13 @@ def _beat(plant: Plant, session: Session, beat: int, due: float, length: float |
 
 def _listen(plant: Plant, session: Session, number: int, until: float) -> bool | None:
     """Wait for the command of a beat: True if it came, None for goodbye."""
+    alert = min(time.monotonic() + _ALERT, until)
     while True:
-        message = session.receive(max(until - time.monotonic(), 0.0))
+        message = None
+        while message is None and time.monotonic() < alert:
+            message = session.receive(0.0)
+        if message is None:
+            message = session.receive(max(until - time.monotonic(), 0.0))
         if message is None:
             return False
         if message.kind == Kind.GOODBYE:
