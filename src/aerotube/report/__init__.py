@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from aerotube.report.assurance import containment_figure, margins_figure
 from aerotube.report.coefficients import coefficients_figure
 from aerotube.report.page import build_page
 from aerotube.report.tracking import tracking_figure
@@ -40,6 +41,8 @@ def draw(dataset: xr.Dataset, folder: str | Path) -> dict[str, Path]:
     figures: dict[str, Figure | None] = {
         "fig7_coefficients": coefficients_figure(dataset),
         "fig8_tubes": tubes_figure(dataset, law),
+        "margins": margins_figure(dataset),
+        "containment": containment_figure(dataset),
         "fig9_tracking": tracking_figure(dataset, CALM),
         "fig9_tracking_noise": tracking_figure(dataset, NOISE),
         "fig9_tracking_estimator": tracking_figure(dataset, ESTIMATOR),

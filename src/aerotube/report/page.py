@@ -11,7 +11,7 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
 
-from aerotube.report import interactive
+from aerotube.report import assurance, interactive
 from aerotube.report.style import flown
 from aerotube.report.tubes import certificate_words
 from aerotube.results import CALM, CONDITION_WORDS, CONTROLLER_WORDS, ESTIMATOR, KEY_SUFFIX, NOISE
@@ -39,6 +39,8 @@ def build_page(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping
     sections = [
         ("errors", "Tracking errors", _errors(dataset, summary)),
         ("tubes", "Trajectory tubes", _tubes(dataset, summary, figures)),
+        ("containment", "Tubes in flight", _containment(summary, figures)),
+        ("margins", "Margins", _margins(summary, figures)),
         ("tracking", "States and controls", _tracking(figures)),
         ("aircraft", "Aircraft", _aircraft(figures)),
         ("scenario", "Scenario", _scenario(dataset)),
@@ -212,6 +214,16 @@ def _tubes(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str
         f"{interactive.tubes_html(dataset, first)}"
         + _picture(figures, "fig8_tubes", "Tubes and their half-widths over time (counterpart of the paper's Fig. 8).")
     )
+
+
+def _containment(summary: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
+    caption = "Runs that start inside the sets of their tubes and keep to them, by the condition flown."
+    return assurance.containment_html(summary) + _picture(figures, "containment", caption)
+
+
+def _margins(summary: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
+    caption = "Disk and delay margins of each beat's frozen loop."
+    return assurance.margins_html(summary) + _picture(figures, "margins", caption)
 
 
 _TRACKING = {
