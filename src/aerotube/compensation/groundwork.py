@@ -22,7 +22,7 @@ from aerotube.compensation.sets import InitialEllipsoid, initial_ellipsoid
 from aerotube.compensation.settings import Part, SynthesisSettings
 from aerotube.dynamics import ErrorCoordinates, Linearisation, error_map, taylor_map
 from aerotube.nominal import Nominal
-from aerotube.tube import DisturbanceBox, parameter_ranges, riccati, tracking_weights
+from aerotube.tube import DisturbanceSet, parameter_ranges, riccati, tracking_weights
 
 Array = NDArray[np.float64]
 Arrays = TypeVar("Arrays")
@@ -85,7 +85,7 @@ class PartGround:
 
 
 def groundwork(
-    aircraft: Aircraft, nominal: Nominal, disturbance: DisturbanceBox, settings: SynthesisSettings
+    aircraft: Aircraft, nominal: Nominal, disturbance: DisturbanceSet, settings: SynthesisSettings
 ) -> Groundwork:
     """Make what all programs of a nominal rest on, or find it made.
 
@@ -94,7 +94,7 @@ def groundwork(
     aircraft : Aircraft
         Must not change once it has been used.
     nominal : Nominal
-    disturbance : DisturbanceBox
+    disturbance : DisturbanceSet
     settings : SynthesisSettings
 
     Returns
@@ -122,7 +122,7 @@ def groundwork(
     return made
 
 
-def _make(aircraft: Aircraft, nominal: Nominal, disturbance: DisturbanceBox, settings: SynthesisSettings) -> Groundwork:
+def _make(aircraft: Aircraft, nominal: Nominal, disturbance: DisturbanceSet, settings: SynthesisSettings) -> Groundwork:
     coordinates = ErrorCoordinates(settings.attitude)
     vertices = disturbance.parameter_vertices(aircraft)
     linear, input_map = _linearised(aircraft, nominal, coordinates, vertices)
@@ -188,7 +188,7 @@ def effort_weights(aircraft: Aircraft, nominal: Nominal, control_weight: float) 
 def expectations(
     aircraft: Aircraft,
     nominal: Nominal,
-    disturbance: DisturbanceBox,
+    disturbance: DisturbanceSet,
     settings: SynthesisSettings,
     linear: Linearisation,
 ) -> Forecast:
@@ -198,7 +198,7 @@ def expectations(
     ----------
     aircraft : Aircraft
     nominal : Nominal
-    disturbance : DisturbanceBox
+    disturbance : DisturbanceSet
     settings : SynthesisSettings
     linear : Linearisation
         In the settings' error coordinates.

@@ -62,6 +62,8 @@ class Shape:
     weights : tuple of (str, float)
         What is made small, and with which weights.
     limits : {"box", "ellipsoid", "none"}
+    corners : int
+        Of the set of measured errors on which a linear law's limits hold; zero where it is a box.
     """
 
     states: int
@@ -72,6 +74,7 @@ class Shape:
     degree: int
     weights: tuple[tuple[str, float], ...]
     limits: str
+    corners: int = 0
 
     @property
     def monomials(self) -> int:
@@ -127,6 +130,8 @@ class GroupData:
         E1.
     seen : ndarray (b, n)
         Half-widths of the box of errors as the law sees them: the disturbance box and its measurement error.
+    corners : ndarray (b, k, n)
+        Of their set, where it is no box.
     growth : ndarray (b,)
         By how much the first beat's ellipsoid must grow to hold all ellipsoids of measured errors, a factor.
     lower, upper : ndarray (b, m)
@@ -146,6 +151,7 @@ class GroupData:
     whitening: Array
     metric: Array
     seen: Array
+    corners: Array
     growth: Array
     lower: Array
     upper: Array

@@ -30,7 +30,7 @@ def declare(program: sos.Program, shape: Shape) -> None:
             return
         if shape.law_degree == 1:
             if shape.limits == "box":
-                program.linear(f"limit/{i}", rows=2**shape.states)
+                program.linear(f"limit/{i}", rows=2 * shape.corners or 2**shape.states)
             else:
                 program.norm(f"limit/{i}", size=shape.states)
             continue
@@ -54,7 +54,10 @@ def _corners(structure: sos.Structure, group: GroupData, relative: Array) -> dic
     batch, m, _ = relative.shape
     n, K = group.seen.shape[-1], structure.variable("K")
     signs = np.array([(1.0, *s) for s in itertools.product((1.0, -1.0), repeat=n - 1)])
-    points = np.einsum("bij,bvj->bvi", group.unwhitening, signs * group.seen[:, None, :])
+    if group.corners.shape[1]:
+        points = np.einsum("bij,bvj->bvi", group.unwhitening, group.corners)
+    else:
+        points = np.einsum("bij,bvj->bvi", group.unwhitening, signs * group.seen[:, None, :])
     points = np.concatenate([points, -points], axis=1)
     out: dict[str, tuple[Array, ...]] = {}
     for i in range(m):
@@ -115,7 +118,9 @@ def into(shape: Shape, group: GroupData, scaling: Scaling, solution: sos.Solutio
             beyond = np.maximum(np.nan_to_num(beyond, nan=np.inf), 0.0)
             factors.append(np.where(room > 0, room / np.where(room > 0, room + beyond, 1.0), beyond == 0))
         return np.asarray(np.minimum(*factors))
-    if shape.limits == "box":
+    if shape.limits == "box" and shape.corners:
+        most = np.abs(np.einsum("bij,bjk,bvk->biv", values, group.unwhitening, group.corners)).max(axis=-1)
+    elif shape.limits == "box":
         most = np.sum(np.abs(values @ group.unwhitening) * group.seen[:, None, :], axis=-1)
     else:
         most = group.growth[:, None] * np.linalg.norm(values, axis=-1)

@@ -10,7 +10,7 @@ from aerotube.compensation.design import Design, Progress, design
 from aerotube.compensation.settings import SynthesisSettings
 from aerotube.compensation.tubes import Tubes, measure
 from aerotube.nominal import Nominal
-from aerotube.tube import DisturbanceBox
+from aerotube.tube import DisturbanceSet
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Compensation(Design):
 def synthesise(
     aircraft: Aircraft,
     nominal: Nominal,
-    disturbance: DisturbanceBox,
+    disturbance: DisturbanceSet,
     settings: SynthesisSettings | None = None,
     *,
     beats: range | None = None,
