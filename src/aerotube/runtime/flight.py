@@ -424,7 +424,7 @@ def fly_alone(world: World, truth: Truth, record: Record) -> Array:
     from aerotube.dynamics.step import step
 
     runs, beats = truth.flown_manoeuvres, world.beats
-    nominal = nominal_of(record, runs, beats)
+    nominal = nominal_of(record.nominal_state, record.nominal_end, runs, beats)
     controls = record.nominal_control[: runs * beats].reshape(runs, beats, 4)
     state = ErrorCoordinates("euler").retract(world.start, world.draws.initial_error[:runs])
     out = np.empty((runs, beats + 1, 8))
@@ -444,9 +444,20 @@ def fly_alone(world: World, truth: Truth, record: Record) -> Array:
     return out
 
 
-def nominal_of(record: Record, manoeuvres: int, beats: int) -> Array:
-    """The nominal as it was flown: ndarray (manoeuvre, T + 1, 13)."""
+def nominal_of(state: Array, end: Array, manoeuvres: int, beats: int) -> Array:
+    """The nominal as it was flown, of whole manoeuvres.
+
+    Parameters
+    ----------
+    state, end : ndarray (g, 13)
+        At the start and at the end of every beat.
+    manoeuvres, beats : int
+
+    Returns
+    -------
+    ndarray (manoeuvre, T + 1, 13)
+    """
     count = manoeuvres * beats
-    start = record.nominal_state[:count].reshape(manoeuvres, beats, -1)
-    end = record.nominal_end[:count].reshape(manoeuvres, beats, -1)
-    return np.concatenate([start, end[:, -1:]], axis=1)
+    first = state[:count].reshape(manoeuvres, beats, -1)
+    last = end[:count].reshape(manoeuvres, beats, -1)
+    return np.concatenate([first, last[:, -1:]], axis=1)

@@ -41,7 +41,8 @@ def errors_flown(flown: Flown) -> Array | None:
     truth = flown.truth
     if truth is None or not truth.flown_manoeuvres:
         return None
-    nominal = nominal_of(flown.record, truth.flown_manoeuvres, flown.world.beats)
+    record = flown.record
+    nominal = nominal_of(record.nominal_state, record.nominal_end, truth.flown_manoeuvres, flown.world.beats)
     return euler_error(truth.states[..., :13], nominal)
 
 
