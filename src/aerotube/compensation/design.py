@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerotube import sos
 from aerotube.aircraft.base import Aircraft
-from aerotube.compensation import law_program, limits
+from aerotube.compensation import exact_map
 from aerotube.compensation.closed_loop import end_errors
-from aerotube.compensation.groundwork import Groundwork, groundwork, taken
+from aerotube.compensation.exact_design import design_groups
 from aerotube.compensation.groundwork import available_increments as available_increments
+from aerotube.compensation.groundwork import groundwork, taken
+from aerotube.compensation.increment_design import design_increments
 from aerotube.compensation.law import LinearLaw, PolynomialLaw, assembled
-from aerotube.compensation.law_program import GroupData, Shape
-from aerotube.compensation.settings import Part, SynthesisSettings
+from aerotube.compensation.settings import SynthesisSettings
+from aerotube.compensation.task import PartLaws, Task
+from aerotube.compensation.terminal import Terminal, terminal_ellipsoid
 from aerotube.dynamics import Linearisation
 from aerotube.nominal import Nominal
-from aerotube.tube import DisturbanceBox, DisturbanceSet
+from aerotube.tube import DisturbanceSet
 
 Array = NDArray[np.float64]
 Beats = NDArray[np.intp]
 Progress = Callable[[int, int], None]
-
-# Programs are solved together as far as their data fit into this many bytes.
-_MEMORY = 2e8
 
 
 @dataclass(frozen=True)
@@ -51,8 +50,12 @@ class Design:
     bound : ndarray (b, parts)
         The optimal value of each program, as the solver reports it: the majorant that was minimised, effort
         included. With reuse, that of all beats which share the law.
-    solve_seconds : ndarray (b, parts)
-        Time in the solver, of one part of one beat. With reuse, the beats which share a law share its time equally.
+    step_seconds : ndarray (b, parts, steps)
+        Time in the solver, of one part of one beat: for the law and, in three steps, for the terminal ellipsoid. With
+        reuse, the beats which share a law share its time equally.
+    terminal : tuple of Terminal, or None
+        Ellipsoids of each part at the end of the beats, where the algorithm finds them itself: in three steps, and in
+        the increment form (there as claimed by its program, to first order in the step).
     settings : SynthesisSettings
     linearisation : Linearisation
         Of the error map along the whole nominal, in the law's coordinates.
@@ -65,9 +68,15 @@ class Design:
     stopped: NDArray[np.bool_]
     messages: list[str]
     bound: Array
-    solve_seconds: Array
+    step_seconds: Array
+    terminal: tuple[Terminal, ...] | None
     settings: SynthesisSettings
     linearisation: Linearisation
+
+    @property
+    def solve_seconds(self) -> Array:
+        """Time in the solver, of one part of one beat: ndarray (b, parts)."""
+        return np.asarray(self.step_seconds.sum(-1))
 
 
 def design(
@@ -114,7 +123,7 @@ def design(
     """
     settings = settings or SynthesisSettings()
     chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
-    task = _Task(
+    task = Task(
         aircraft,
         nominal,
         disturbance,
@@ -133,59 +142,44 @@ def design(
         if progress is not None:
             progress(done, total)
 
-    found: list[list[_PartLaws]] = [[] for _ in settings.parts]
+    found: list[list[PartLaws]] = [[] for _ in settings.parts]
+    solve = design_groups if settings.formulation == "exact-map" else design_increments
     for rows in groups:
-        for one, made in zip(found, _design_groups(task, rows, tell), strict=True):
+        for one, made in zip(found, solve(task, rows, tell), strict=True):
             one.append(made)
     parts = [_joined(one, chosen) for one in found]
+    law = assembled(
+        [(part.errors, part.controls, laws.coefficients) for part, laws in zip(settings.parts, parts, strict=True)],
+        settings.law_degree,
+        nominal.beats,
+        chosen,
+        ground.coordinates,
+        _room(task) if settings.saturation > 1.0 else None,
+    )
+    seconds = [np.stack([laws.seconds for laws in parts], axis=1)]
+    terminal = [laws.terminal for laws in parts if laws.terminal is not None]
+    if settings.steps == "three-step" and settings.formulation == "exact-map":
+        terminal = _terminal(task, law, chosen)
+        seconds.append(np.stack([one.seconds for one in terminal], axis=1))
+    elif settings.steps == "three-step":
+        seconds.append(np.stack([one.seconds for one in terminal], axis=1))
 
     def gather(name: str) -> Array:
         return np.stack([getattr(part, name) for part in parts], axis=1)
 
     return Design(
-        law=assembled(
-            [(part.errors, part.controls, laws.coefficients) for part, laws in zip(settings.parts, parts, strict=True)],
-            settings.law_degree,
-            nominal.beats,
-            chosen,
-            task.ground.coordinates,
-        ),
+        law=law,
         beats=chosen,
-        metric=tuple(ground.metric[chosen] for ground in task.ground.parts),
+        metric=tuple(own.metric[chosen] for own in ground.parts),
         feasible=gather("feasible").astype(bool),
         stopped=gather("stopped").astype(bool),
         messages=[message for one in found for made in one for message in made.messages],
         bound=gather("bound"),
-        solve_seconds=gather("seconds"),
+        step_seconds=np.stack(seconds, axis=-1),
+        terminal=tuple(terminal) or None,
         settings=settings,
-        linearisation=task.ground.linear,
+        linearisation=ground.linear,
     )
-
-
-@dataclass(frozen=True)
-class _Task:
-    """What all programs share."""
-
-    aircraft: Aircraft
-    nominal: Nominal
-    disturbance: DisturbanceSet
-    settings: SynthesisSettings
-    ground: Groundwork
-    workers: int
-    deadline: float | None
-
-
-@dataclass(frozen=True)
-class _PartLaws:
-    """The laws of one part, for the beats of ``rows`` (b, g), or one by one (b,)."""
-
-    rows: Beats
-    coefficients: Array
-    feasible: NDArray[np.bool_]
-    stopped: NDArray[np.bool_]
-    bound: Array
-    seconds: Array
-    messages: list[str]
 
 
 def _groups(chosen: Beats, beats: int, length: int) -> list[Beats]:
@@ -196,7 +190,7 @@ def _groups(chosen: Beats, beats: int, length: int) -> list[Beats]:
     return [part for part in (whole, rest[:, : beats - rest[0, 0]] if len(rest) else rest) if len(part)]
 
 
-def _joined(laws: list[_PartLaws], chosen: Beats) -> _PartLaws:
+def _joined(laws: list[PartLaws], chosen: Beats) -> PartLaws:
     """The laws of the chosen beats, one by one."""
     beats = np.concatenate([one.rows.ravel() for one in laws])
     place = np.argsort(beats)[np.searchsorted(np.sort(beats), chosen)]
@@ -205,173 +199,42 @@ def _joined(laws: list[_PartLaws], chosen: Beats) -> _PartLaws:
         values = [np.repeat(getattr(one, name), one.rows.shape[1], axis=0) for one in laws]
         return np.asarray(np.concatenate(values)[place])
 
-    return _PartLaws(
-        beats[place],
-        of_each_beat("coefficients"),
-        of_each_beat("feasible").astype(bool),
-        of_each_beat("stopped").astype(bool),
-        of_each_beat("bound"),
-        of_each_beat("seconds"),
-        [],
+    return PartLaws(
+        rows=beats[place],
+        coefficients=of_each_beat("coefficients"),
+        feasible=of_each_beat("feasible").astype(bool),
+        stopped=of_each_beat("stopped").astype(bool),
+        bound=of_each_beat("bound"),
+        seconds=np.concatenate([np.repeat(one.seconds / one.rows.shape[1], one.rows.shape[1]) for one in laws])[place],
+        messages=[],
+        terminal=None if laws[0].terminal is None else taken(laws[0].terminal, place),
     )
 
 
-def _design_groups(task: _Task, rows: Beats, tell: Callable[[int], None]) -> list[_PartLaws]:
-    """Laws of all parts for rows of beats (b, g); parts of the same kind are solved together."""
-    shapes = [_shape(task, index, rows.shape[1]) for index in range(len(task.settings.parts))]
-    data = [_group_data(task, index, shape, rows) for index, shape in enumerate(shapes)]
-    made: dict[int, _PartLaws] = {}
-    for shape in dict.fromkeys(shapes):
-        own = [index for index, other in enumerate(shapes) if other == shape]
-        both = GroupData(
-            *(np.concatenate([getattr(data[index], field.name) for index in own]) for field in fields(GroupData))
-        )
-        names = [(task.settings.parts[index].name, row) for index in own for row in rows]
-        laws = _solved(task, shape, both, names, tell)
-        for position, index in enumerate(own):
-            at = slice(position * len(rows), (position + 1) * len(rows))
-            made[index] = _PartLaws(
-                rows=rows,
-                coefficients=laws.coefficients[at],
-                feasible=laws.feasible[at],
-                stopped=laws.stopped[at],
-                bound=laws.bound[at],
-                seconds=laws.seconds[at],
-                messages=laws.messages if position == 0 else [],
-            )
-    return [made[index] for index in range(len(shapes))]
-
-
-def _shape(task: _Task, index: int, steps: int) -> Shape:
-    settings, part = task.settings, task.settings.parts[index]
-    where, corners = settings.limits, 0
-    if where == "box" and settings.law_degree == 1 and not isinstance(task.disturbance, DisturbanceBox):
-        # on a set with corners the limits hold there; on any other, on the ellipsoid around it
-        corners = steps * len(_corners(task, index, np.zeros(1, dtype=np.intp))[0])
-        where = "box" if corners else "ellipsoid"
-    return Shape(
-        states=len(part.errors),
-        controls=len(part.controls),
-        vertices=len(task.ground.vertices),
-        steps=steps,
-        law_degree=settings.law_degree,
-        degree=max(settings.degree, 2 * settings.law_degree),
-        weights=settings.weights,
-        limits=where,
-        corners=corners,
-    )
-
-
-def _measurement(task: _Task, part: Part, beats: Beats) -> Array:
-    """Half-widths of the box of a part's measurement errors: ndarray (b, n)."""
-    share, errors = task.settings.measurement_error, list(part.errors)
-    if share == 0.0:
-        return np.zeros((len(beats), len(errors)))
-    widths = share * task.disturbance.half_widths
-    return task.ground.coordinates.box(task.nominal.states[beats], widths)[:, errors]
-
-
-def _corners(task: _Task, index: int, beats: Beats) -> Array:
-    """Corners of the set of a part's measured errors: ndarray (b, k, n)."""
-    initial = taken(task.ground.parts[index].initial, beats)
-    return initial.seen_corners(_measurement(task, task.settings.parts[index], beats))
-
-
-def _group_data(task: _Task, index: int, shape: Shape, rows: Beats) -> GroupData:
-    """Data of one part's programs for rows of beats (b, g)."""
-    part, ground = task.settings.parts[index], task.ground
-    own, beats, lead = ground.parts[index], rows.ravel(), rows.shape
-    e, c = np.array(part.errors), np.array(part.controls)
-    initial = taken(own.initial, beats)
-    inverse = np.linalg.inv(initial.whitening)
-
-    def whitened(moment: Array, least: float) -> Array:
-        inside = inverse @ moment[beats][:, e[:, None], e] @ np.swapaxes(inverse, 1, 2)
-        return np.asarray(inside + least / len(e) * np.eye(len(e))).reshape(*lead, len(e), len(e))
-
-    points = np.einsum("bij,uj->bui", initial.whitening, law_program.nodes(shape))
-    values = end_errors(task.aircraft, task.nominal, beats, ground.coordinates, part, points, ground.vertices)
-    whitening = initial.whitening.reshape(*lead, *initial.whitening.shape[1:])
-    seen = ground.seen[rows][..., e]
-    lower, upper = own.lower[rows].max(1), own.upper[rows].min(1)
-    span = upper - lower
-    # a linear law needs both sides of a control; one that cannot have them is taken out of the program
-    usable = (np.minimum(-lower, upper) if shape.law_degree == 1 else span) > 1e-6 * span
-    widths = initial.widths.reshape(*lead, len(e))
-    turn = np.linalg.norm(np.linalg.inv(whitening[:, :1]) @ whitening, 2, axis=(-2, -1))
-    growth = (seen / widths).max(-1)
-    if not isinstance(task.disturbance, DisturbanceBox):
-        growth = initial.seen_growth(_measurement(task, part, beats)).reshape(lead)
-    corners = np.zeros((len(rows), 0, len(e)))
-    if shape.corners:
-        corners = _corners(task, index, beats).reshape(len(rows), -1, len(e))
-    return GroupData(
-        map_values=values.reshape(*lead, *values.shape[1:]),
-        input_map=ground.input_map[rows][:, :, :, e[:, None], c] * usable[:, None, None, None, :],
-        whitening=whitening,
-        metric=own.metric[rows],
-        seen=seen.max(1),
-        corners=corners,
-        growth=(growth * turn).max(1),
-        lower=np.where(usable, lower, -span),
-        upper=np.where(usable, upper, span),
-        usable=usable,
-        expected=whitened(ground.expected.moment, task.settings.least_expected),
-        noise=whitened(ground.expected.noise, 0.0),
-        effort=ground.effort[rows][:, :, c[:, None], c],
-    )
-
-
-def _solved(
-    task: _Task, shape: Shape, data: GroupData, names: list[tuple[str, Beats]], tell: Callable[[int], None]
-) -> _PartLaws:
-    """Solve a batch of programs, as many at a time as fit into memory."""
-    settings, structure = task.settings, law_program.structure(shape)
-    each = 8.0 * sum(
-        sum(float(np.prod(size)) for size in c.shapes(structure.size).values()) for c in structure.constraints
-    )
-    count = max(2 * task.workers, int(_MEMORY / each))
-    found: list[_PartLaws] = []
-    for start in range(0, len(names), count):
-        some = taken(data, np.arange(start, min(start + count, len(names))))
-        scaling = law_program.scale(some)
-        problem = law_program.program_data(shape, some, scaling)
-        solution = sos.solve(structure, problem, backend=settings.backend, deadline=task.deadline, workers=task.workers)
-        feasible = solution.status == sos.Status.OPTIMAL
-        coefficients = law_program.coefficients(shape, solution["K"], some, scaling)
-        stopped = (solution.status == sos.Status.DEADLINE) & np.isfinite(coefficients).all((1, 2))
-        coefficients = np.where((feasible | stopped)[:, None, None], coefficients, 0.0)
-        coefficients *= (some.usable * limits.into(shape, some, scaling, solution))[:, :, None]
-        steps = len(names[0][1])
-        found.append(
-            _PartLaws(
-                np.empty(0, dtype=np.intp),
-                coefficients,
-                feasible,
-                stopped,
-                np.where(feasible, solution.objective * scaling.size, np.nan),
-                solution.seconds / steps,
-                [_sentence(*names[start + i], solution, int(i)) for i in np.flatnonzero(~feasible & ~stopped)],
+def _terminal(task: Task, law: LinearLaw | PolynomialLaw, chosen: Beats) -> list[Terminal]:
+    """The third step: the smallest terminal ellipsoid of each part, the law held."""
+    out = []
+    for part, ground in zip(task.settings.parts, task.ground.parts, strict=True):
+        degree, vertices = task.settings.degree, task.ground.vertices
+        nodes = exact_map.size_structure(len(part.errors), len(vertices), degree).nodes("tube/0")
+        points = np.einsum("bij,uj->bui", ground.initial.whitening[chosen], nodes)
+        end = end_errors(task.aircraft, task.nominal, chosen, task.ground.coordinates, part, points, vertices, law)
+        out.append(
+            terminal_ellipsoid(
+                end,
+                ground.metric[chosen],
+                task.settings.terminal,
+                degree=degree,
+                backend=task.settings.backend,
+                workers=task.workers,
             )
         )
-        tell(len(feasible))
-
-    def joined(name: str) -> Array:
-        return np.concatenate([getattr(one, name) for one in found])
-
-    return _PartLaws(
-        np.empty(0, dtype=np.intp),
-        joined("coefficients"),
-        joined("feasible").astype(bool),
-        joined("stopped").astype(bool),
-        joined("bound"),
-        joined("seconds"),
-        [message for one in found for message in one.messages],
-    )
+    return out
 
 
-def _sentence(part: str, row: Beats, solution: sos.Solution, position: int) -> str:
-    """Why a part of a beat, or of the beats that share a law, has none."""
-    beats = f"beat {row[0]}" if len(row) == 1 else f"beats {row[0]} to {row[-1]}"
-    status = str(sos.Status(int(solution.status[position])))
-    return f"{beats}, {part}: no law ({status}); the nominal alone is flown."
+def _room(task: Task) -> Array:
+    """Where a law saturates of its own accord: the increments that the limits leave, ndarray (T, 4, 2)."""
+    room = np.zeros((task.nominal.beats, 4, 2))
+    for part, ground in zip(task.settings.parts, task.ground.parts, strict=True):
+        room[:, part.controls] = np.stack([ground.lower, ground.upper], axis=-1)
+    return room

@@ -24,6 +24,8 @@ from aerotube.tube import DisturbanceBox, DisturbanceSet, ellipsoid
 Array = NDArray[np.float64]
 
 _TILTS = (3, 7)  # the two components of the attitude
+_MOST_SUMS = 20_000  # sums of corners whose hull is looked for
+_MOST_DIMENSIONS = 4  # in which hulls are looked for: in eight they have too many sides
 
 
 @dataclass(frozen=True)
@@ -53,15 +55,21 @@ class InitialEllipsoid:
         Returns
         -------
         ndarray (b, k, n)
-            Their convex hull holds the sums of disturbances and measurement errors; empty if there are no corners.
+            With their opposites, points whose convex hull holds the sums of disturbances and measurement errors (and
+            their opposites); none where there are none of the disturbances, or more than would serve a program.
         """
-        n = self.widths.shape[-1]
-        if not self.corners.shape[1] or not measurement.any():
+        count, n = self.corners.shape[1:]
+        if not count:
             return self.corners
-        if self.corners.shape[1] == 2**n and (np.abs(self.corners) == self.widths[:, None]).all():
-            return np.asarray(self.corners * (1.0 + measurement / self.widths)[:, None])
-        signs = np.array(list(itertools.product((-1.0, 1.0), repeat=n)))
-        return _sums(self.corners, signs * measurement[:, None])
+        seen = self.corners
+        if count == 2**n and (np.abs(self.corners) == self.widths[:, None]).all():
+            seen = self.corners * (1.0 + measurement / self.widths)[:, None]
+        elif measurement.any():
+            if count * 2**n > _MOST_SUMS:
+                return self.corners[:, :0]
+            signs = np.array(list(itertools.product((-1.0, 1.0), repeat=n)))
+            seen = _sums(self.corners, signs * measurement[:, None])
+        return _half_hulls(seen, self.widths + measurement)
 
     def seen_growth(self, measurement: Array) -> Array:
         """Factors (b,) by which the ellipsoid grows when its errors are measured with errors in a box (b, n)."""
@@ -165,3 +173,23 @@ def linear_image(coordinates: ErrorCoordinates, states: Array, half_widths: Arra
 def _sums(first: Array, second: Array) -> Array:
     """All sums of points (b, k, n) and (b, l, n): ndarray (b, k l, n)."""
     return np.asarray((first[:, :, None] + second[:, None]).reshape(len(first), -1, first.shape[-1]))
+
+
+def _half_hulls(points: Array, unit: Array) -> Array:
+    """Corners of the hulls of points (b, k, n) and their opposites, one of each pair: ndarray (b, l, n)."""
+    from scipy.spatial import ConvexHull
+
+    scaled = points / unit[:, None]
+    leading = np.sign(np.take_along_axis(scaled, np.abs(scaled).argmax(axis=2)[..., None], axis=2))
+    scaled = scaled * leading
+    kept = []
+    for own in scaled:
+        half = np.unique(np.round(own, 12), axis=0)
+        if half.shape[1] in range(2, _MOST_DIMENSIONS + 1):
+            used = ConvexHull(np.concatenate([half, -half])).vertices
+            half = half[np.unique(used[used < len(half)])]
+        kept.append(half)
+    most = max(len(half) for half in kept)
+    # beats that have fewer say some twice
+    filled = [np.concatenate([half, np.repeat(half[:1], most - len(half), axis=0)]) for half in kept]
+    return np.asarray(np.stack(filled) * unit[:, None])
