@@ -1,10 +1,13 @@
 """The interior-point method: agreement with a second solver, optimality conditions, outcomes."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from aerotube import sos
 from aerotube.sos import Status
+from aerotube.sos.backends import interior
 from aerotube.sos.residuals import adjoint, gram_values, moment_matrices
 from tests.sos.programs import maximum_data, maximum_program, tube_data, tube_program
 
@@ -152,6 +155,48 @@ def test_a_deadline_stops_in_time_and_says_so(tube):
     sos.solve(tube, data, deadline=10.0)
     assert sos.solve(tube, data, deadline=10.0).status == Status.OPTIMAL
     assert sos.solve(tube, data, deadline=1e-9).status == Status.DEADLINE
+
+
+class Clock:
+    """A clock that is one second later whenever it is read."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def perf_counter(self):
+        self.now += 1.0
+        return self.now
+
+
+def _stopped(structure, data, monkeypatch):
+    """Solutions stopped after every number of iterations but the last, and the one that is not stopped."""
+    whole = sos.solve(structure, data)
+    monkeypatch.setattr(interior, "time", Clock())
+    stopped = []
+    for seconds in range(3, 4 + int(whole.iterations)):
+        stopped.append(sos.solve(structure, data, deadline=float(seconds)))
+    return whole, stopped
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_stopped_solve_answers_with_what_is_certified(tube, seed, monkeypatch):
+    whole, stopped = _stopped(tube, tube_data(tube, seed, limit=0.3), monkeypatch)
+    assert {Status(int(s.status)) for s in stopped} <= {Status.DEADLINE, Status.OPTIMAL}
+    assert len({int(s.iterations) for s in stopped}) > 5
+    bounds = [float(s.certificate().bound) for s in stopped]
+    # A bound once found is kept or bettered, never lost, and none is below the optimum.
+    assert all(later <= earlier for earlier, later in itertools.pairwise(bounds))
+    assert bounds[-1] >= whole.objective * (1.0 - 1e-6)
+    assert np.isfinite(bounds[len(bounds) // 2])
+
+
+def test_a_solve_stopped_before_anything_is_certified_says_so(tube, monkeypatch):
+    monkeypatch.setattr(interior, "time", Clock())
+    solution = sos.solve(tube, tube_data(tube, 0, limit=0.3), deadline=1.0)
+    certificate = solution.certificate()
+    assert solution.status == Status.DEADLINE
+    assert not certificate.holds
+    assert certificate.bound == np.inf
 
 
 def test_threads_do_not_change_the_numbers(tube):

@@ -221,7 +221,7 @@ def _left_over(found: Sampling, f: Any, slip: Array, grams: tuple[Array, ...], k
 
 def _fold(found: Sampling, residual: Array, grams: tuple[Array, ...]) -> tuple[Array, ...]:
     """Change the Gram matrices as little as removes the residual (..., U) at the nodes."""
-    nu = residual @ _normal_inverse(found.domain, found.degree, tuple(b.weight for b in found.blocks if b.weight))
+    nu = residual @ normal_inverse(found.domain, found.degree, tuple(b.weight for b in found.blocks if b.weight))
     return tuple(
         gram + np.einsum("ui,...u,uj->...ij", block.rows, nu * block.weights, block.rows, optimize=True)
         for block, gram in zip(found.blocks, grams, strict=True)
@@ -229,7 +229,7 @@ def _fold(found: Sampling, residual: Array, grams: tuple[Array, ...]) -> tuple[A
 
 
 @lru_cache(maxsize=32)
-def _normal_inverse(domain: Domain, degree: int, weights: tuple[Polynomial, ...]) -> Array:
+def normal_inverse(domain: Domain, degree: int, weights: tuple[Polynomial, ...]) -> Array:
     """Inverse (U, U) of A A', the map from multipliers at the nodes to values of their least-norm Gram matrices."""
     normal: Any = 0.0
     for block in sampling(domain, degree, weights).blocks:

@@ -24,7 +24,8 @@ class Status(IntEnum):
     OPTIMAL = 0
     """Optimal to the tolerances."""
     DEADLINE = 1
-    """Stopped at the deadline; the values are the best reached so far."""
+    """Stopped at the deadline. The values are the best of those reached that can be certified; if there were none, they
+    are the nearest to an optimum, and `Certificate.holds` says that nothing is certified."""
     INFEASIBLE = 2
     """The multipliers contradict the constraints, up to rounding: `Solution.explain` says for decisions of what size
     that is proven. Of sum-of-squares constraints it says that they cannot hold as sums of squares."""

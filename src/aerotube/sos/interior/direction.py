@@ -64,6 +64,7 @@ from aerotube.sos.interior.state import (
     GAP_RESIDUAL,
     HOMOGENEOUS,
     KAPPA,
+    MU,
     TAU,
     add_adjoint,
     gather,
@@ -73,8 +74,9 @@ from aerotube.sos.interior.state import (
     values,
 )  # fmt: skip
 
-REFINE_ABOVE = 1e-13
-"""Error of the scaled equations in a direction that is worth another solve."""
+REFINE_ABOVE, REFINE_SHARE = 1e-13, 0.03
+"""Error of the scaled equations in a direction that is worth another solve: also where, beside the complementarity, it
+would eat into the margins that certify the iterate."""
 
 
 @inner
@@ -286,7 +288,7 @@ def leftover(lay, st, dtau, eta):  # type: ignore[no-untyped-def]
 def refine(lay, st, dtau, eta):  # type: ignore[no-untyped-def]
     """Remove what rounding left of the sampled constraints' equations in the direction, by one more solve."""
     keep_apart()
-    if leftover(lay, st, dtau, eta) < REFINE_ABOVE:
+    if leftover(lay, st, dtau, eta) < max(1e-16, min(REFINE_ABOVE, REFINE_SHARE * numbers(lay, st)[MU])):
         return
     m = lay.at[M]
     factor = matrix_at(st.heap, lay.at[SCHUR_FACTOR], m, m)

@@ -13,9 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from aerotube.sos.basis import sampling
+from aerotube.sos.certificate import normal_inverse
 from aerotube.sos.domain import Array
 from aerotube.sos.interior.compiled import inner
-from aerotube.sos.program import Data, Structure
+from aerotube.sos.program import Constraint, Data, Structure
 
 SOS, LMI, NORM, LINEAR = np.arange(4)
 _KINDS = {"sos": SOS, "lmi": LMI, "logdet": LMI, "norm": NORM, "linear": LINEAR}
@@ -24,21 +26,21 @@ Ints = NDArray[np.int64]
 # All places are NumPy integers: plain ones would have every function compiled anew for each of them.
 
 # Rows of Layout.con, one column for each constraint.
-KIND, ROWS, VECTOR, FIRST, LAST, COMPACT, FACTOR_AT, FLAT, GROUP, TARGET = np.arange(10)
+KIND, ROWS, VECTOR, FIRST, LAST, COMPACT, FACTOR_AT, FLAT, GROUP, TARGET, FOLD = np.arange(11)
 # Rows of Layout.blk, one column for each matrix block (Gram matrix or matrix inequality).
 ORDER, MATRIX, BASIS, WEIGHT, OWNER = np.arange(5)
 # Matrix storages: one entry for each entry of each block.
-Q, Z, LQ, LZ, INVERSE, DQ, DZ, E, T, MISFIT, BEST_Q, KEPT_DQ, KEPT_DZ, SCALE, BACK = np.arange(15)
+Q, Z, LQ, LZ, INVERSE, DQ, DZ, E, T, MISFIT, BEST_Q, KEPT_DQ, KEPT_DZ, SCALE, BACK, SURE_Q = np.arange(16)
 # Vector storages: one entry for each node, cone entry and linear row.
-Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y, KEPT_DY, KEPT_DS = np.arange(15, 27)
+Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y, KEPT_DY, KEPT_DS, SURE_Y = np.arange(16, 29)
 # Decision storages, (m + 1) entries.
-D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D, KEPT_DD = np.arange(27, 36)
+D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D, KEPT_DD, SURE_D = np.arange(29, 39)
 # The rest: data, factors, scratch.
-G, V, FACTOR, SQUARE, SQUARE2, TALL, TALLQ, SCRATCH, SHORT = np.arange(36, 45)
-SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = np.arange(45, 51)
+G, V, FACTOR, SQUARE, SQUARE2, TALL, TALLQ, SCRATCH, SHORT = np.arange(39, 48)
+SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = np.arange(48, 54)
 # Sizes.
-M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, NODES, FLATS = np.arange(51, 59)
-_COUNT = 59
+M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, NODES, FLATS = np.arange(54, 62)
+_COUNT = 62
 
 
 class Layout(NamedTuple):
@@ -46,15 +48,16 @@ class Layout(NamedTuple):
 
     Attributes
     ----------
-    con : (10, constraints)
+    con : (11, constraints)
         Kind; rows (U, order, 1 + k, rows); offset in vector storage; first and last + 1 block; offset of its data
         (rows x width, or width x k^2); offset of its Schur factor; offset in a program's flat data; first row scale
-        (one for all rows, but one for each linear row); place of its log-determinant factor in `numbers`.
+        (one for all rows, but one for each linear row); places in `numbers` of its log-determinant factor and of the
+        norm of the map from values at the nodes to the least changes of Gram matrices that make them.
     blk : (5, blocks)
         Order N; offset in matrix storage; places of P (U x N) and g (U, or -1 for 1) in `numbers`; its constraint.
     numbers : (...)
-        Bases, weights, starting functionals (vector storage), log-determinant factors.
-    at : (59,)
+        Bases, weights, starting functionals (vector storage), norms of changes, log-determinant factors.
+    at : (62,)
         Offset of each storage in the heap, and the sizes.
     """
 
@@ -75,7 +78,7 @@ class State(NamedTuple):
 def layout(structure: Structure) -> Layout:
     """Lay out a structure (cached)."""
     m, constraints = structure.size, structure.constraints
-    con = np.zeros((10, len(constraints)), dtype=np.int64)
+    con = np.zeros((11, len(constraints)), dtype=np.int64)
     blk: list[tuple[int, int, int, int, int]] = []
     bases: list[Array] = [np.zeros(0)]
     weights: list[Array] = []
@@ -112,13 +115,15 @@ def layout(structure: Structure) -> Layout:
         con[LAST, i] = len(blk)
     table = np.array(blk, dtype=np.int64).reshape(len(blk), 5).T.copy()
     table[WEIGHT][table[WEIGHT] >= 0] += tall
-    con[TARGET] = tall + weighing + vectors + np.arange(len(constraints))
+    con[FOLD] = tall + weighing + vectors + np.arange(len(constraints))
+    con[TARGET] = con[FOLD] + len(constraints)
+    folds = np.array([_fold(c) if c.kind == "sos" else 0.0 for c in constraints])
     targets = np.array([c.factor for c in constraints])
     nodes = max([c.size for c in constraints if c.kind == "sos"], default=1)
     order = max([1, *table[ORDER].tolist()])
     widest = max([nodes, order * order, *con[ROWS].tolist()])
     lengths = np.array(
-        [matrices] * 15 + [vectors] * 12 + [m + 1] * 9
+        [matrices] * 16 + [vectors] * 13 + [m + 1] * 10
         + [compact, compact, factors, nodes * nodes, nodes * nodes, nodes * order, tall, 4 * order * order + widest]
         + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2, groups * (m + 1), groups, 24]
     )  # fmt: skip
@@ -128,7 +133,18 @@ def layout(structure: Structure) -> Layout:
     at[: len(lengths)] = starts[:-1]
     at[M], at[VECTORS], at[MATRICES], at[GROUPS] = m, vectors, matrices, groups
     at[LENGTH], at[DEGREE], at[NODES], at[FLATS] = starts[-1], degree, nodes, flat
-    return Layout(con, table, np.concatenate([*bases, *weights, *interior, targets]), at)
+    return Layout(con, table, np.concatenate([*bases, *weights, *interior, folds, targets]), at)
+
+
+def _fold(c: Constraint) -> float:
+    """Norm of the least-norm map from values at the nodes to Gram matrices, by the power method."""
+    assert c.domain is not None
+    weights = sampling(c.domain, c.degree, c.weights)
+    inverse = normal_inverse(c.domain, c.degree, c.weights)
+    vector = np.ones(len(weights.nodes))
+    for _ in range(30):
+        vector = inverse @ (vector / np.linalg.norm(vector))
+    return float(np.sqrt(np.linalg.norm(vector)))
 
 
 def memory(lay: Layout) -> State:

@@ -12,19 +12,27 @@ from aerotube.sos.interior.layout import (
     BEST_Y,
     DEGREE,
     FIRST,
+    FOLD,
     KIND,
     LAST,
+    LINEAR,
     LMI,
     LQ,
     LZ,
     MATRICES,
     MISFIT,
+    NORM,
     OBJECTIVE,
+    ORDER,
     RD,
     RESIDUAL,
     RHS,
     ROWS,
+    SCRATCH,
     SOS,
+    SURE_D,
+    SURE_Q,
+    SURE_Y,
     TALLQ,
     TARGET,
     VECTORS,
@@ -39,6 +47,7 @@ from aerotube.sos.interior.layout import (
     compact,
     decision,
     entries,
+    matrix_at,
     part,
     rows_of,
     tall_of,
@@ -53,6 +62,7 @@ from aerotube.sos.interior.state import (
     DUAL,
     DUAL_RAY,
     DVALUE,
+    EXTRA,
     GAP,
     GAP_RESIDUAL,
     HOMOGENEOUS,
@@ -64,6 +74,11 @@ from aerotube.sos.interior.state import (
     PRIMAL_RAY,
     PVALUE,
     RUNNING,
+    SURE,
+    SURE_DUAL,
+    SURE_GAP,
+    SURE_PRIMAL,
+    SURE_VALUE,
     TAU,
     UNBOUNDED,
     add_adjoint,
@@ -72,6 +87,9 @@ from aerotube.sos.interior.state import (
     values,
 )  # fmt: skip
 
+SURE_BELOW, EXTRA_MOST = 0.5, 4
+ROUNDING = 1e-16
+"""Of values at the nodes, relative to the size of a constraint."""
 RAY_TOLERANCE = 1e-12
 RAY_ACCEPTED = 1e-9
 """Error of a ray that is one if it gets no better."""
@@ -195,14 +213,61 @@ def judge(lay, st, feasibility, optimality):  # type: ignore[no-untyped-def]
     if found != RUNNING:
         return found
     merit = max(number[PRIMAL] / feasibility, number[DUAL] / feasibility, number[GAP] / optimality)
+    scale = 1.0 / number[TAU]
     if merit < number[BEST]:
         number[BEST] = merit
         number[BEST_PRIMAL], number[BEST_DUAL], number[BEST_GAP] = number[PRIMAL], number[DUAL], number[GAP]
-        scale = 1.0 / number[TAU]
         keep(scratch(lay, st, D, lay.at[M]), scale, scratch(lay, st, BEST_D, lay.at[M]))
         keep(scratch(lay, st, Q, lay.at[MATRICES]), scale, scratch(lay, st, BEST_Q, lay.at[MATRICES]))
         keep(scratch(lay, st, Y, lay.at[VECTORS]), scale, scratch(lay, st, BEST_Y, lay.at[VECTORS]))
-    return OPTIMAL if merit <= 1.0 else RUNNING
+    sure = used_up(lay, st) < SURE_BELOW
+    if sure and (merit <= 1.0 or number[PVALUE] < number[SURE_VALUE]):
+        number[SURE], number[SURE_VALUE] = merit, number[PVALUE]
+        number[SURE_PRIMAL], number[SURE_DUAL], number[SURE_GAP] = number[PRIMAL], number[DUAL], number[GAP]
+        keep(scratch(lay, st, D, lay.at[M]), scale, scratch(lay, st, SURE_D, lay.at[M]))
+        keep(scratch(lay, st, Q, lay.at[MATRICES]), scale, scratch(lay, st, SURE_Q, lay.at[MATRICES]))
+        keep(scratch(lay, st, Y, lay.at[VECTORS]), scale, scratch(lay, st, SURE_Y, lay.at[VECTORS]))
+    if merit > 1.0:
+        return RUNNING
+    # An optimum that cannot be certified yet is given a few more steps, which are towards the centre.
+    st.ints[EXTRA] += 1
+    return OPTIMAL if sure or st.ints[EXTRA] > EXTRA_MOST else RUNNING
+
+
+@inner
+def used_up(lay, st):  # type: ignore[no-untyped-def]
+    """Share of the iterate's margins that its residuals use up; below one, the iterate can be certified.
+
+    A residual is folded into the Gram matrices by a change of least norm, which must not exceed their least eigenvalue.
+    """
+    keep_apart()
+    worst, tau = 0.0, numbers(lay, st)[TAU]
+    for i in range(lay.con.shape[1]):
+        kind = lay.con[KIND, i]
+        for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
+            n = lay.blk[ORDER, b]
+            half = matrix_at(st.heap, lay.at[SCRATCH], n, n)
+            small.invert_factor(block(lay, st, LZ if kind == LMI else LQ, b), half)
+            inverse = scratch(lay, st, SCRATCH, n * n)
+            if kind == LMI:
+                misfit = entries(lay, st, MISFIT, b)
+                change = np.sqrt(small.dot(misfit, misfit))
+            else:
+                residual = part(lay, st, RESIDUAL, i)
+                change = np.sqrt(small.dot(residual, residual)) + ROUNDING * tau * np.sqrt(residual.shape[0])
+                change *= lay.numbers[lay.con[FOLD, i]]
+            worst = max(worst, change * small.dot(inverse, inverse))
+        if kind == NORM:
+            residual, s = part(lay, st, RESIDUAL, i), part(lay, st, S, i)
+            change = abs(residual[0]) + np.sqrt(small.dot(residual[1:], residual[1:]))
+            worst = max(worst, change / (s[0] - np.sqrt(small.dot(s[1:], s[1:]))))
+        elif kind == LINEAR:
+            residual, s = part(lay, st, RESIDUAL, i), part(lay, st, S, i)
+            for r in range(s.shape[0]):
+                worst = max(worst, -residual[r] / s[r])
+        if not worst < SURE_BELOW:
+            return np.inf
+    return worst
 
 
 @inner

@@ -60,7 +60,7 @@ def center(lay, st, primal, dual, optimality):  # type: ignore[no-untyped-def]
         sigma = (1.0 - primal) ** 3
     else:
         sigma = (predicted(lay, st, primal, dual) / (numbers(lay, st)[MU] * lay.at[DEGREE])) ** 3
-    return min(1.0, max(1e-6, sigma, 0.1 * optimality / numbers(lay, st)[GAP]))
+    return min(1.0, max(1e-6, sigma, 0.3 * optimality / numbers(lay, st)[GAP]))
 
 
 @inner

@@ -22,6 +22,9 @@ from aerotube.sos.interior.layout import (
     MATRIX,
     ROW,
     ROWS,
+    SURE_D,
+    SURE_Q,
+    SURE_Y,
     VECTOR,
     D,
     M,
@@ -46,6 +49,11 @@ from aerotube.sos.interior.state import (
     RUNNING,
     STALLED,
     STATUS,
+    SURE,
+    SURE_DUAL,
+    SURE_GAP,
+    SURE_PRIMAL,
+    SURE_VALUE,
     UNBOUNDED,
     numbers,
     scratch,
@@ -62,6 +70,9 @@ ACCEPTED = 10.0
 def begin(lay, st, flat):  # type: ignore[no-untyped-def]
     """Load a program and set the starting point."""
     scaling.unpack(lay, st, flat)
+    number = numbers(lay, st)
+    number[BEST] = number[BEST_PRIMAL] = number[BEST_DUAL] = number[BEST_GAP] = np.inf
+    number[SURE] = number[SURE_VALUE] = np.inf
     state.start(lay, st, DIRECT)
 
 
@@ -81,16 +92,14 @@ def proceed(lay, st, feasibility, optimality, limit, budget):  # type: ignore[no
     if found != RUNNING:
         st.ints[STATUS] = found
         return True
-    if number[BEST] <= ACCEPTED:
+    if min(number[BEST], number[SURE]) <= ACCEPTED:
         st.ints[STATUS] = OPTIMAL
         return True
     if st.ints[HOMOGENEOUS] == 1 or has_logdet(lay):
         st.ints[STATUS] = STALLED
         return True
-    best, used = number[BEST], st.ints[ITERATIONS]
-    primal, dual, gap = number[BEST_PRIMAL], number[BEST_DUAL], number[BEST_GAP]
+    used = st.ints[ITERATIONS]
     state.start(lay, st, EMBEDDED)
-    number[BEST], number[BEST_PRIMAL], number[BEST_DUAL], number[BEST_GAP] = best, primal, dual, gap
     # The embedding has as many iterations again.
     st.ints[ITERATIONS] = max(0, used - limit)
     return False
@@ -111,10 +120,16 @@ def finish(lay, st, out):  # type: ignore[no-untyped-def]
     """Write the answer in the program's own units: the head, then d, the matrices, and the vectors."""
     m, number = lay.at[M], numbers(lay, st)
     status = st.ints[STATUS]
-    out[0], out[1], out[2] = number[BEST_PRIMAL], number[BEST_DUAL], number[BEST_GAP]
     out[3], out[4] = status, st.ints[ITERATIONS]
-    ray = status in (INFEASIBLE, UNBOUNDED)
-    d = scratch(lay, st, D if ray else BEST_D, m)
+    from_d, from_q, from_y = BEST_D, BEST_Q, BEST_Y
+    out[0], out[1], out[2] = number[BEST_PRIMAL], number[BEST_DUAL], number[BEST_GAP]
+    if status in (INFEASIBLE, UNBOUNDED):
+        from_d, from_q, from_y = D, Q, Y
+    elif number[SURE] < (ACCEPTED if status == OPTIMAL else np.inf):
+        # What can be certified goes before what is nearer to the optimum and cannot.
+        from_d, from_q, from_y = SURE_D, SURE_Q, SURE_Y
+        out[0], out[1], out[2] = number[SURE_PRIMAL], number[SURE_DUAL], number[SURE_GAP]
+    d = scratch(lay, st, from_d, m)
     column = scratch(lay, st, COLUMN, m)
     row = scratch(lay, st, ROW, lay.at[GROUPS])
     beta, omega = number[BETA], number[OMEGA]
@@ -124,12 +139,12 @@ def finish(lay, st, out):  # type: ignore[no-untyped-def]
     for i in range(lay.con.shape[1]):
         kind, group = lay.con[KIND, i], lay.con[GROUP, i]
         for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
-            source = entries(lay, st, Q if ray else BEST_Q, b)
+            source = entries(lay, st, from_q, b)
             scale = row[group] / omega if kind == LMI else 1.0 / (row[group] * beta)
             for k in range(source.shape[0]):
                 out[matrices + lay.blk[MATRIX, b] + k] = source[k] * scale
         if kind != LMI:
-            source = part(lay, st, Y if ray else BEST_Y, i)
+            source = part(lay, st, from_y, i)
             for r in range(lay.con[ROWS, i]):
                 own = row[group + r] if kind == LINEAR else row[group]
                 out[vectors + lay.con[VECTOR, i] + r] = source[r] * own / omega

@@ -56,10 +56,11 @@ AMPLE = 200.0
 """Complementarity to start from, over what the objective could be: from high above the central path is near."""
 RUNNING, OPTIMAL, INFEASIBLE, UNBOUNDED, STALLED = -1, 0, 2, 3, 4
 # Places among the integers of a state.
-STATUS, ITERATIONS, HOMOGENEOUS, STALLS = np.arange(4)
+STATUS, ITERATIONS, HOMOGENEOUS, STALLS, EXTRA = np.arange(5)
 # Places among its numbers.
 TAU, KAPPA, MU, PRIMAL, DUAL, GAP, PVALUE, DVALUE, STEP, BETA, OMEGA, DUAL_RAY, BEST, BETA_OMEGA = np.arange(14)
-GAP_RESIDUAL, PRIMAL_RAY, BEST_PRIMAL, BEST_DUAL, BEST_GAP = np.arange(14, 19)
+GAP_RESIDUAL, PRIMAL_RAY, BEST_PRIMAL, BEST_DUAL, BEST_GAP, SURE = np.arange(14, 20)
+SURE_PRIMAL, SURE_DUAL, SURE_GAP, SURE_VALUE = np.arange(20, 24)
 
 
 @inner
@@ -93,14 +94,13 @@ def start(lay, st, homogeneous):  # type: ignore[no-untyped-def]
     number[TAU] = 1.0
     number[KAPPA] = mu if homogeneous == 1 else 0.0
     number[STEP] = 1.0
-    number[BEST] = np.inf
-    number[BEST_PRIMAL] = number[BEST_DUAL] = number[BEST_GAP] = np.inf
+    st.ints[EXTRA] = 0
     decision(lay, st, D)[:] = 0.0
     scratch(lay, st, Q, lay.at[MATRICES])[:] = 0.0
     scratch(lay, st, Z, lay.at[MATRICES])[:] = 0.0
     scratch(lay, st, S, lay.at[VECTORS])[:] = 0.0
     scratch(lay, st, Y, lay.at[VECTORS])[:] = 0.0
-    begin = lay.numbers.shape[0] - lay.con.shape[1] - lay.at[VECTORS]
+    begin = lay.numbers.shape[0] - 2 * lay.con.shape[1] - lay.at[VECTORS]
     for i in range(lay.con.shape[1]):
         kind, own = lay.con[KIND, i], 1.0
         if kind == SOS:
