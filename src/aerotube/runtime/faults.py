@@ -46,6 +46,8 @@ class Faults:
         By kind.
     by_beat : dict of int to str
         What was done to the measurement of a beat.
+    windows : set of int
+        Windows (by their first beat) at which a worker was hit.
     """
 
     share: float
@@ -60,6 +62,7 @@ class Faults:
             raise InputError(f"faults: a share of {self.share:g} is asked for; give 0 to 1.")
         self.injected: Counter[str] = Counter()
         self.by_beat: dict[int, str] = {}
+        self.windows: set[int] = set()
         self._link = np.random.default_rng([self.seed, 0])
         self._workers = np.random.default_rng([self.seed, 1])
         self._lock = threading.Lock()
@@ -73,8 +76,8 @@ class Faults:
         self.by_beat[beat] = kind
         return kind
 
-    def wrap(self, work: Callable[[], Any]) -> Callable[[], Any]:
-        """Work that may kill or stall the worker who takes it up."""
+    def wrap(self, work: Callable[[], Any], window: int) -> Callable[[], Any]:
+        """Work on a window that may kill or stall the worker who takes it up."""
 
         def faulty() -> Any:
             with self._lock:
@@ -82,6 +85,7 @@ class Faults:
                 kind = str(self._workers.choice(WORKERS)) if hit else ""
                 if hit:
                     self.injected[kind] += 1
+                    self.windows.add(window)
             if kind == "kill":
                 raise Killed
             if kind == "stall":

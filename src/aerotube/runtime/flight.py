@@ -212,7 +212,7 @@ def fly(
     process, report = _start(world, away, options) if own else (None, None)
     watchdog = Watchdog() if options.link != "thread" else None
     faults = _faults(options, world)
-    workers = Workers(1)
+    workers = Workers(2)  # a window's, and one more so that a stalled one does not hold up the next window
     channel: Channel = home if faults is None else FaultyChannel(home, faults)
     session = Session(channel, world.token if own else None)
     pilot = Pilot(session, task, guidance, commander, workers, beats, options.speed, faults)
@@ -230,6 +230,8 @@ def fly(
         gc.freeze()
         _run(pilot, view)
     finally:
+        if view is not None and hasattr(view, "close"):
+            view.close()
         blas.restore_original_limits()
         sys.setswitchinterval(interval)
         gc.unfreeze()

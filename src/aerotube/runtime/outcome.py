@@ -26,7 +26,7 @@ class Deadlines:
     ----------
     missed : ndarray (g,) of bool
     unexplained : ndarray (g,) of bool
-        Of these, those for which the machine stole less time than they were late.
+        Of these, those for which the machine stole less time than they were late, and no worker was hit on purpose.
     lateness : ndarray (g,)
         s; zero where nothing was late.
     """
@@ -82,6 +82,8 @@ def deadlines(flown: Flown) -> Deadlines:
         if late_law[g] and window is not None:
             begin = min(begin, window.asked)
         end = np.nanmax([record.sent[g], record.due[g] + length])
+        if late_law[g] and window is not None and flown.faults is not None and window.first in flown.faults.windows:
+            continue
         theft = stolen(flown.thefts, begin, end)
         unexplained[g] = not (theft > 0 and theft >= lateness[g])
     return Deadlines(missed, unexplained, lateness)

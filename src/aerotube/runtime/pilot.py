@@ -292,8 +292,8 @@ class Pilot:
         )
         job = Job(
             start,
-            self.faults.wrap(work) if self.faults is not None and self._asked else work,
-            patience=max(0.6 * lead, 3.0 * self._longest) if np.isfinite(lead) else np.inf,
+            self.faults.wrap(work, start) if self.faults is not None and self._asked else work,
+            patience=max(0.6 * lead, 2.0 * self._longest) if np.isfinite(lead) else np.inf,
         )
         self._asked += 1
         self.workers.submit(job)

@@ -1,0 +1,182 @@
+"""``aerotube fly``: a flight against the clock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from aerotube.commands.common import FAILED, FINE, INTERRUPTED, interruptible
+from aerotube.errors import InputError
+
+
+def fly(
+    scenario: Annotated[
+        Path | None, typer.Argument(help="A scenario file, as `aerotube init` writes one; Table 2 without it.")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="The folder to write to.")] = Path("out/fly"),
+    speed: Annotated[
+        float,
+        typer.Option(metavar="X", help="Seconds of flight for one of the clock; inf: without a clock."),
+    ] = 1.0,
+    duration: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Repeat the manoeuvre for this long; once without it.")
+    ] = None,
+    window: Annotated[int, typer.Option(metavar="N", help="Beats of a window of laws.")] = 16,
+    on_demand: Annotated[bool, typer.Option("--on-demand", help="Solve each beat during the beat before it.")] = False,
+    reuse: Annotated[int, typer.Option(metavar="K", help="Use each law for K more beats.")] = 0,
+    algorithm: Annotated[str | None, typer.Option(metavar="NAME", help="decoupled or coupled.")] = None,
+    beat: Annotated[float | None, typer.Option(metavar="SECONDS", help="Length of a beat.")] = None,
+    estimator: Annotated[bool, typer.Option("--estimator", help="State estimator before the law.")] = False,
+    noise: Annotated[
+        float | None, typer.Option(metavar="SHARE", help="Sensor noise as a share of the disturbance box.")
+    ] = None,
+    deviation: Annotated[
+        str,
+        typer.Option(
+            metavar="KIND",
+            help="Initial error: the paper's (3 m/s too slow, 0.3 deg of sideslip), or drawn from the box.",
+        ),
+    ] = "paper",
+    gusts: Annotated[
+        str | None, typer.Option(metavar="SEVERITY", help="Dryden turbulence: none, light, moderate or severe.")
+    ] = None,
+    actuators: Annotated[bool, typer.Option("--actuators", help="Lags and rate limits of the surfaces.")] = False,
+    delay: Annotated[int, typer.Option(metavar="N", help="Whole beats from a command to its effect.")] = 0,
+    replan: Annotated[
+        float,
+        typer.Option(metavar="SHARE", help="Move the nominal at every window, by a share of the controls' travel."),
+    ] = 0.0,
+    event: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Keep a law while its certified tube on the new nominal grows by no more."),
+    ] = None,
+    faults: Annotated[int, typer.Option(metavar="N", help="Inject so many faults of link, sensors and workers.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of noise, gusts, guidance and faults.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Threads that solve.")] = 2,
+    udp: Annotated[bool, typer.Option("--udp", help="Talk to the aircraft over UDP on loopback.")] = False,
+    port: Annotated[
+        int | None, typer.Option(metavar="PORT", help="Wait at this UDP port for another's aircraft, and fly that.")
+    ] = None,
+    headless: Annotated[bool, typer.Option("--headless", help="No live view.")] = False,
+    replay: Annotated[
+        Path | None, typer.Option(metavar="FLIGHT.NC", help="Fly a log again and compare, instead of a new flight.")
+    ] = None,
+) -> None:
+    """Fly a scenario against the clock: the aircraft in its own process, laws computed while it flies.
+
+    Writes flight.nc (the log), fly.json, figures/ and report.html to the out folder. Exit code 1 if a deadline was
+    missed that the machine does not explain. The messages between aircraft and controller are documented in
+    aerotube.runtime.messages.
+
+    Example: aerotube fly --duration 60
+    """
+    if replay is not None:
+        _replay(replay)
+        return
+    from aerotube.runtime.flight import Options
+    from aerotube.runtime.flight import fly as take_off
+    from aerotube.runtime.page import save
+
+    kind: Any = deviation
+    if deviation not in ("paper", "box"):
+        raise InputError(f"--deviation: there is no {deviation!r}; choose paper or box")
+    options = Options(
+        speed=speed,
+        duration=duration,
+        window=reuse + 1 if on_demand else window,
+        reuse=reuse,
+        estimator=estimator,
+        noise=noise,
+        deviation=kind,
+        gusts=gusts,
+        delay=delay,
+        actuators=actuators,
+        replan=replan,
+        tolerance=event,
+        faults=faults,
+        seed=seed,
+        workers=workers,
+        link="udp" if udp else "local",
+        port=port,
+    )
+    with interruptible():
+        prepared = _prepared(scenario, algorithm, beat)
+        _ready(out)
+        flown = take_off(prepared, options, *_shown(headless))
+        summary = save(flown, out)
+    _print(summary, out)
+    if not summary["beats"]:
+        raise typer.Exit(FAILED)
+    short = flown.truth is not None and flown.truth.flown_manoeuvres < flown.world.manoeuvres
+    raise typer.Exit(INTERRUPTED if short else FAILED if summary["missed_unexplained"] else FINE)
+
+
+def _prepared(scenario: Path | None, algorithm: str | None, beat: float | None) -> Any:
+    from aerotube.preparation import prepare
+    from aerotube.scenario import load
+
+    asked = {"synthesis.algorithm": algorithm, "nominal.beat": None if beat is None else f"{beat!r} s"}
+    return prepare(load(scenario, {key: value for key, value in asked.items() if value is not None}))
+
+
+def _ready(out: Path) -> None:
+    from aerotube.results import ensure_folder
+
+    ensure_folder(out)
+
+
+def _shown(headless: bool) -> tuple[Any, Any]:
+    """What tells of the preparations, and what shows the flight."""
+    if headless:
+        return None, None
+    from rich.console import Console
+
+    from aerotube.runtime.view import LiveView
+
+    console = Console(stderr=True, highlight=False)
+    return console.print, LiveView(console)
+
+
+def _replay(path: Path) -> None:
+    from aerotube.runtime import log
+
+    with interruptible():
+        found = log.replay(log.read(path))
+    same = all(found[key] in (0.0, None) for key in ("state", "command"))
+    typer.echo(
+        f"{path}: "
+        + ("flies again to the same numbers" if same else "DOES NOT fly again to the same numbers")
+        + f" (largest difference of a command {found['command']:.3g}"
+        + ("" if found["state"] is None else f", of a state {found['state']:.3g}, SI")
+        + ")"
+    )
+    if found["mae"] is not None:
+        typer.echo(f"mean absolute error {found['mae']:.6f}, root mean square {found['rmse']:.6f} (Eq. 18, deg)")
+    raise typer.Exit(FINE if same else FAILED)
+
+
+def _print(summary: dict[str, Any], out: Path) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    fallbacks = {name.replace("_", " "): count for name, count in summary["fallbacks"].items() if count}
+    words = [
+        f"{summary['beats']} beats; {summary['missed_deadlines']} missed deadlines, "
+        f"{summary['missed_unexplained']} of them not explained by the machine",
+        "fallbacks: " + (", ".join(f"{count} {name}" for name, count in fallbacks.items()) or "none"),
+    ]
+    for key, name in (("mae", "mean absolute error"), ("rmse", "root mean square error")):
+        none, compensated = summary[key]["none"], summary[key]["compensated"]
+        if none and compensated is not None:
+            share = 100 * (1 - compensated / none)
+            words.append(f"{name}: {none:.3f} without compensation, {compensated:.3f} with it (−{share:.0f} %)")
+    span = summary["latency_us"]
+    if span["median"] is not None:
+        words.append(f"measurement to command: {span['median']:.0f} µs median, {span['p99']:.0f} µs 99th percentile")
+    if summary["realtime_factor"] is not None:
+        words.append(f"windows are computed {summary['realtime_factor']:.1f} times as fast as they are flown")
+    for line in words:
+        console.print(line, soft_wrap=True)
+    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)

@@ -1,0 +1,188 @@
+"""What a flight leaves behind: the log, ``fly.json``, figures and a page that opens offline."""
+
+from __future__ import annotations
+
+import json
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from aerotube.report.page import fill, picture
+from aerotube.results import ensure_folder, whole_file, write_json, write_text
+from aerotube.runtime import log
+from aerotube.runtime.outcome import summarise
+from aerotube.runtime.pictures import flight_figure, timeline_figure
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from aerotube.runtime.flight import Flown
+
+_DOTS_PER_INCH = 100
+_KINDS = {
+    "anytime": "flew the any-time answer: the law as it stood at the solver's deadline, certified as it is",
+    "last": "flew the law of an earlier beat, certified for this one too",
+    "lqr": "flew the gain of the linear-quadratic regulator, not certified",
+    "nominal": "flew the nominal control alone",
+    "predicted_state": "had no measurement in time, or none that was believed: the model carried the last one on",
+    "no_state": "had neither: the nominal control alone",
+    "no_command": "were passed over: their measurement was lost and their moment gone",
+}
+
+
+def save(flown: Flown, folder: str | Path) -> dict[str, Any]:
+    """Write ``flight.nc``, ``fly.json``, ``figures/`` and ``report.html``.
+
+    Parameters
+    ----------
+    flown : Flown
+    folder : str or Path
+        Made if it is not there.
+
+    Returns
+    -------
+    dict
+        The contents of ``fly.json``.
+    """
+    target = ensure_folder(folder)
+    summary = summarise(flown)
+    dataset = log.to_dataset(flown)
+    log.write(dataset, target / "flight.nc")
+    write_json(target / "fly.json", summary)
+    if dataset.sizes["beat"]:
+        write_text(target / "report.html", build(dataset, draw(dataset, target / "figures")))
+    return summary
+
+
+def draw(dataset: xr.Dataset, folder: Path) -> dict[str, Path]:
+    """Draw the figures of a log that it has data for; the PNG files by name."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {}
+    for name, figure in (("fig15_timeline", timeline_figure(dataset)), ("fig16_flight", flight_figure(dataset))):
+        path = folder / f"{name}.png"
+        if figure is None:
+            path.unlink(missing_ok=True)  # of an earlier flight in the same folder
+            continue
+        with whole_file(path) as aside:
+            figure.savefig(aside, format="png", dpi=_DOTS_PER_INCH)
+        files[name] = path
+    return files
+
+
+def build(dataset: xr.Dataset, figures: dict[str, Path]) -> str:
+    """Build the page of a flight's log.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+    figures : dict of Path
+        As :func:`draw` gives them.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    summary, options = (json.loads(str(dataset.attrs[key])) for key in ("summary", "options"))
+    version = str(dataset.attrs.get("aerotube_version", ""))
+    seconds = summary["beats"] * float(dataset.attrs["beat_seconds"])
+    sections = [
+        ("tracking", "States and controls", _tracking(figures)),
+        ("deadlines", "Deadlines", _deadlines(dataset, summary, figures)),
+        ("fallbacks", "Fallbacks and faults", _fallbacks(dataset, summary)),
+        ("recomputation", "Recomputation", _recomputation(dataset, options)),
+        ("options", "Options", _table({name: str(value) for name, value in options.items()})),
+    ]
+    return fill(
+        title=f"Flight: {dataset.attrs.get('scenario_title', '')}",
+        lead=(
+            f"{summary['beats']} beats, {seconds:.1f} s of flight, {options['speed']:g} s of it in one second of the "
+            f"clock; flown {dataset.attrs.get('created', '')} with aerotube {version}."
+        ),
+        sections=sections,
+        version=version,
+        cards=_cards(summary),
+    )
+
+
+def _cards(summary: dict[str, Any]) -> str:
+    cards = []
+    for key, words in (("mae", "Mean absolute error"), ("rmse", "Root mean square error")):
+        none, compensated = summary[key]["none"], summary[key]["compensated"]
+        if none and compensated is not None:
+            share = f"−{100 * (1 - compensated / none):.0f} %"
+            cards.append((words, share, f"{none:.3f} → {compensated:.3f} (Eq. 18, deg)"))
+    missed, unexplained = summary["missed_deadlines"], summary["missed_unexplained"]
+    cards.append(
+        ("Missed deadlines", str(missed), f"of {summary['beats']} beats; {unexplained} not the machine's doing")
+    )
+    span, factor = summary["latency_us"], summary["realtime_factor"]
+    if span["median"] is not None:
+        cards.append(("Measurement to command", f"{span['median']:.0f} µs", f"99th percentile {span['p99']:.0f} µs"))
+    if factor is not None:
+        cards.append(("Real-time factor", f"{factor:.1f}", "seconds flown for one of computing windows"))
+    return "".join(
+        f'<div class="card"><div class="what">{escape(what)}</div><div class="number">{escape(number)}</div>'
+        f'<div class="how">{escape(how)}</div></div>'
+        for what, number, how in cards
+    )
+
+
+def _tracking(figures: dict[str, Path]) -> str:
+    if "fig16_flight" not in figures:
+        return "<p>The aircraft was another's: there is no log of its own states.</p>"
+    words = "The first manoeuvre, with compensation and without (counterpart of the paper's Fig. 16)."
+    return picture(figures["fig16_flight"], words)
+
+
+def _deadlines(dataset: xr.Dataset, summary: dict[str, Any], figures: dict[str, Path]) -> str:
+    stolen = 1e3 * float(dataset["theft"].values[:, 1].sum()) if dataset.sizes["theft_number"] else 0.0
+    longest = 1e3 * float(dataset["theft"].values[:, 1].max()) if dataset.sizes["theft_number"] else 0.0
+    return (
+        "<p>A beat misses its deadline if its laws are not there when its measurement is, or if its command is not "
+        "with the aircraft within 30 % of the beat. A miss is explained if the machine stole at least as much time as "
+        f"was missing; a process that only sleeps measures that: {stolen:.0f} ms in all, {longest:.1f} ms at most at "
+        f"once. Code was compiled or loaded in {float(dataset.attrs['warm_up_seconds']):.1f} s and the first window "
+        f"computed in {float(dataset.attrs['first_window_seconds']):.2f} s, both before take-off.</p>"
+        + picture(figures["fig15_timeline"], "Windows, beats and latency (counterpart of the paper's Fig. 15).")
+    )
+
+
+def _fallbacks(dataset: xr.Dataset, summary: dict[str, Any]) -> str:
+    rows = "".join(
+        f'<tr><td class="n">{count}</td><td>{escape(_KINDS[kind])}</td></tr>'
+        for kind, count in summary["fallbacks"].items()
+    )
+    clamped = int(dataset["clamped"].values.any(axis=1).sum())
+    body = (
+        f'<div class="scroll"><table><tr><th class="n">beats</th><th>that</th></tr>{rows}'
+        f'<tr><td class="n">{clamped}</td>'
+        "<td>had a control held at its limit by the clamp</td></tr></table></div>"
+    )
+    for key, words in (("injected", "Faults injected"), ("refused", "Refused on the way in")):
+        counts = json.loads(str(dataset.attrs[key]))
+        if counts:
+            body += f"<p>{words}: " + escape(", ".join(f"{n} {name}" for name, n in sorted(counts.items()))) + ".</p>"
+    events = json.loads(str(dataset.attrs["events"]))
+    if events:
+        items = "".join(f"<li>{when:.3f} s: {escape(words)}</li>" for when, words in events[:100])
+        body += f"<details><summary>{len(events)} events</summary><ul>{items}</ul></details>"
+    return body
+
+
+def _recomputation(dataset: xr.Dataset, options: dict[str, Any]) -> str:
+    if options["tolerance"] is None:
+        return ""
+    kept, beats = int(dataset["window_kept"].sum()), int(dataset["window_computed"].sum())
+    spent = {name: float(dataset[f"window_{name}_seconds"].sum()) for name in ("check", "design", "certify")}
+    return (
+        f"<p>A law of the manoeuvre before was kept where its certified tube on the new nominal was at most "
+        f"{100 * options['tolerance']:g} % larger than where it was made, and its controls kept their limits there. "
+        f"Kept: {kept} of {beats} beats ({100 * kept / max(beats, 1):.0f} %). Time spent: {spent['check']:.2f} s on "
+        f"checking, {spent['design']:.2f} s on designing anew, {spent['certify']:.2f} s on certifying.</p>"
+    )
+
+
+def _table(rows: dict[str, str]) -> str:
+    cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows.items())
+    return f'<div class="scroll"><table>{cells}</table></div>'
