@@ -123,15 +123,8 @@ def design(
     """
     settings = settings or SynthesisSettings()
     chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
-    task = Task(
-        aircraft,
-        nominal,
-        disturbance,
-        settings,
-        groundwork(aircraft, nominal, disturbance, settings),
-        workers,
-        deadline,
-    )
+    ground = groundwork(aircraft, nominal, disturbance, settings)
+    task = Task(aircraft, nominal, disturbance, settings, ground, workers, deadline)
     groups = _groups(chosen, nominal.beats, settings.reuse + 1)
     total = len(settings.parts) * sum(len(rows) for rows in groups)
     done = 0

@@ -133,6 +133,9 @@ def _make(aircraft: Aircraft, nominal: Nominal, disturbance: DisturbanceSet, set
     for part in settings.parts:
         reach = seen * (np.sqrt(len(part.errors)) if settings.limits == "ellipsoid" else 1.0)
         lower, upper = available_increments(aircraft, nominal.states[:-1], nominal.controls, coordinates, reach)
+        if settings.rate_limits is not None:
+            half = _share_of_rate(aircraft, nominal, np.array(settings.rate_limits))
+            lower, upper = np.maximum(lower, -half), np.minimum(upper, half)
         parts.append(
             PartGround(
                 initial=initial_ellipsoid(disturbance, coordinates, nominal.states[:-1], part),
@@ -253,6 +256,19 @@ def _metric(
         weights[1:, errors][:, :, errors],
         effort[:, controls][:, :, controls],
     )
+
+
+def _share_of_rate(aircraft: Aircraft, nominal: Nominal, rates: Array) -> Array:
+    """Half of what rate limits leave for the law's own change from beat to beat: ndarray (T, 4)."""
+    room = np.full((nominal.beats, 4), np.inf)
+    if nominal.beats > 1:
+        states, controls = nominal.states[1:-1], nominal.controls
+        # the limits of an increment move against the control it is added to
+        change = aircraft.virtual_limits(states, controls[:-1])[0] - aircraft.virtual_limits(states, controls[1:])[0]
+        left = 0.5 * (rates * nominal.dt - np.abs(change))
+        room[1:], room[:-1] = left, np.minimum(room[:-1], left)
+        room[1:-1] = np.minimum(left[:-1], left[1:])
+    return room
 
 
 def available_increments(

@@ -20,7 +20,8 @@ whose columns are orthonormal where no effort is added. What is made small is a 
   :math:`z^T N z - \hat r^T\hat r - 2\hat r^T O\tilde K\, E_v\varphi(z + v)` is one, with M the second moments of
   the errors to be expected, v the noise on their measurement and :math:`M_\varphi` the second moments of
   :math:`\varphi(z + v)`. The quadratic form N majorises the size on the boundary of the set; for a linear map without
-  offset and a linear law it is exact and the objective is the mean square, otherwise the objective stands in for it.
+  offset and a linear law it is exact and the objective is the mean square, otherwise the objective stands in for it;
+* the trace or the volume of the terminal ellipsoid itself, see :mod:`aerotube.compensation.joint_shape`.
 
 A law that is reused serves g beats: the programs of one beat are put side by side and share K. Their mean squares add
 up; the worst case is that of all.
@@ -38,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube import sos
-from aerotube.compensation import limits, monomials
+from aerotube.compensation import joint_shape, limits, monomials
 from aerotube.tube import ellipsoid
 
 Array = NDArray[np.float64]
@@ -96,6 +97,8 @@ def structure(shape: Shape) -> sos.Structure:
         program.norm("effort", size=shape.steps * shape.controls * M + 1)
         for j in range(shape.steps * shape.vertices):
             program.sos(f"mean/{j}", domain, degree=shape.degree)
+    if "trace" in sizes or "volume" in sizes:
+        joint_shape.declare(program, shape)
     if "worst-case" in sizes:
         program.scalar("rho")
         for s in range(shape.steps):
@@ -142,6 +145,8 @@ class GroupData:
         Mean of ``z z'``: which errors are to be expected (mean square only).
     noise : ndarray (b, g, n, n)
         Covariance of the measurement noise, whitened like the error.
+    direction : ndarray (b, g, n, n)
+        Weights of the trace of the terminal ellipsoid's inverse shape, see :mod:`aerotube.compensation.joint_shape`.
     effort : ndarray (b, g, m, m)
         Weight R: the mean of ``du' R du`` is added to the size.
     """
@@ -158,6 +163,7 @@ class GroupData:
     usable: NDArray[np.bool_]
     expected: Array
     noise: Array
+    direction: Array
     effort: Array
 
     @cached_property
@@ -239,7 +245,7 @@ def program_data(shape: Shape, data: GroupData, scaling: Scaling) -> sos.Data:
     constraints: dict[str, tuple[Array, ...]] = {}
     points = np.einsum("bgij,uj->bgui", data.turn, nodes(shape))
     for name, weight in shape.weights:
-        make = _mean_square if name == "mean-square" else _worst_case
+        make = {"mean-square": _mean_square, "worst-case": _worst_case}.get(name, joint_shape.data)
         constraints |= make(compiled, shape, data, scaling, points, weight, objective)
     return compiled.data(objective=objective, constraints=constraints | limits.data(compiled, shape, data, scaling))
 

@@ -111,13 +111,7 @@ def into(shape: Shape, group: GroupData, scaling: Scaling, solution: sos.Solutio
     if shape.limits == "none":
         return np.ones(values.shape[:2])
     if shape.law_degree > 1:
-        span, margins = 0.5 * (group.upper - group.lower), solution.certificate().margins
-        factors = []
-        for side, room in (("above", group.upper), ("below", -group.lower)):
-            beyond = np.stack([-margins[f"{side}/{i}"] for i in range(shape.controls)], axis=1) * span
-            beyond = np.maximum(np.nan_to_num(beyond, nan=np.inf), 0.0)
-            factors.append(np.where(room > 0, room / np.where(room > 0, room + beyond, 1.0), beyond == 0))
-        return np.asarray(np.minimum(*factors))
+        return proven(solution, group.lower, group.upper)
     if shape.limits == "box" and shape.corners:
         most = np.abs(np.einsum("bij,bjk,bvk->biv", values, group.unwhitening, group.corners)).max(axis=-1)
     elif shape.limits == "box":
@@ -126,3 +120,21 @@ def into(shape: Shape, group: GroupData, scaling: Scaling, solution: sos.Solutio
         most = group.growth[:, None] * np.linalg.norm(values, axis=-1)
     limit = np.minimum(-group.lower, group.upper)
     return np.asarray(limit / np.maximum(most, limit))
+
+
+def proven(solution: sos.Solution, lower: Array, upper: Array) -> Array:
+    """Factors, at most one, that bring polynomial laws into limits which a certificate proves: ndarray (b, m).
+
+    Parameters
+    ----------
+    solution : sos.Solution
+        With constraints ``above/i`` and ``below/i`` in units of half the range of control i.
+    lower, upper : ndarray (b, m)
+    """
+    span, margins = 0.5 * (upper - lower), solution.certificate().margins
+    factors = []
+    for side, room in (("above", upper), ("below", -lower)):
+        beyond = np.stack([-margins[f"{side}/{i}"] for i in range(room.shape[1])], axis=1) * span
+        beyond = np.maximum(np.nan_to_num(beyond, nan=np.inf), 0.0)
+        factors.append(np.where(room > 0, room / np.where(room > 0, room + beyond, 1.0), beyond == 0))
+    return np.asarray(np.minimum(*factors))

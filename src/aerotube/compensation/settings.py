@@ -9,10 +9,11 @@ from typing import Literal
 from aerotube.errors import InputError
 
 Algorithm = Literal["decoupled", "coupled"]
-Size = Literal["mean-square", "worst-case"]
-SIZES: tuple[Size, ...] = ("mean-square", "worst-case")
+Size = Literal["mean-square", "worst-case", "trace", "volume"]
+SIZES: tuple[Size, ...] = ("mean-square", "worst-case", "trace", "volume")
 Shape = Literal["cost-to-go", "riccati"]
 Limits = Literal["box", "ellipsoid"]
+Certificate = Literal["polynomial only", "sampled", "rigorous"]
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,19 @@ class SynthesisSettings:
     ----------
     algorithm : {"decoupled", "coupled"}
         The paper's Algorithm 2 (two halves of four states) or Algorithm 1 (eight states).
-    size : {"mean-square", "worst-case"}, or mapping of these to weights
+    formulation : {"exact-map", "increment"}
+        The exact map of a beat, or the paper's first-order increment (Eq. 4 and 14), which makes the least ``rho``
+        small whatever ``size`` says; see :mod:`aerotube.compensation.increment`.
+    steps : {"two-step", "three-step"}
+        Initial ellipsoid, then law and terminal ellipsoid together (the paper's Algorithms 1 and 2); or the law in a
+        shape that is held, then the terminal ellipsoid with the law held (Algorithm 3).
+    terminal : {"volume", "trace", "rho"}
+        What the third step makes small (exact map), see :mod:`aerotube.compensation.terminal`.
+    size : {"mean-square", "worst-case", "trace", "volume"}, or mapping of these to weights
         What is made small: the mean square of the errors to be expected at the end of the beat (by a quadratic
         majorant, see :mod:`aerotube.compensation.law_program`), or the least ``rho`` that holds the worst error; or
-        a mixture, ``{"worst-case": 1.0, "mean-square": 0.1}``. The worst case alone leaves the law free in all
+        the trace of the inverse shape or the volume of the terminal ellipsoid, found together with the law; or a
+        mixture, ``{"worst-case": 1.0, "mean-square": 0.1}``. The worst case alone leaves the law free in all
         directions but the worst.
     shape : {"cost-to-go", "riccati"}
         The metric in which the error at the end of a beat is measured, see :mod:`aerotube.tube.shapes`.
@@ -57,6 +67,13 @@ class SynthesisSettings:
     reuse : int
         Beats for which a law is used again after its own (the paper's Section 3.1): one program serves ``reuse +
         1`` beats.
+    saturation : float
+        How many times its limits a law may ask for where they must hold, at least 1. Beyond 1 the law cuts itself off
+        at its limits, and the cut is in the closed loop that is measured.
+    rate_limits : tuple of 4 floats, optional
+        Largest rates of the virtual controls, per second. Each law keeps to half of what the limit and the nominal's
+        own change leave for one beat, so that the step from one beat's increment to the next one's is within the limit
+        whatever the two errors are in the set on which limits hold.
     noise_weight : float
         Mean square of the measurement noise over that of the disturbance set; 1 where both are uniform in the
         same box.
@@ -64,8 +81,8 @@ class SynthesisSettings:
         On which set the law must keep the controls within their limits: the disturbance box, or the whole
         ellipsoid around it.
     measurement_error : float
-        Largest measurement error, as a fraction of the disturbance set, for which the limits must hold too. (For
-        the ellipsoid, to first order in the attitude.)
+        Largest measurement error, as a fraction of the disturbance set, for which the limits must hold too (for
+        the ellipsoid, to first order in the attitude), and the tubes beyond their polynomials.
     control_weight : float
         Weight of control effort, in the forecast and in what is made small: ``R = control_weight * diag(1 / half
         range of control^2)``.
@@ -74,6 +91,14 @@ class SynthesisSettings:
         boundary: the law is asked to do something sensible even in directions where no error is expected.
     attitude : {"relative", "euler"}
         Error coordinates the law works in.
+    certificate : {"polynomial only", "sampled", "rigorous"}
+        What the tubes are to rest on, see :class:`~aerotube.compensation.Tubes`. Rigorous bounds want an aircraft
+        with smooth tables: the kinks of linear ones widen them.
+    gust, gust_rotation : float
+        Largest velocity (m/s) and rotation (rad/s) of the air about each body axis, held over a beat, that the tubes
+        must withstand.
+    samples, confidence, sample_seed
+        Of "sampled" tubes, see :class:`~aerotube.compensation.Sampling`.
     degree : int
         Degree of the sum-of-squares programs, even.
     backend : {"aerotube", "clarabel"}
@@ -86,25 +111,40 @@ class SynthesisSettings:
     """
 
     algorithm: Algorithm = "decoupled"
+    formulation: Literal["exact-map", "increment"] = "exact-map"
+    steps: Literal["two-step", "three-step"] = "two-step"
+    terminal: Literal["volume", "trace", "rho"] = "volume"
     size: Size | Mapping[Size, float] | tuple[tuple[Size, float], ...] = "mean-square"
     shape: Shape = "cost-to-go"
     noise_weight: float = 0.0
     limits: Limits = "box"
     law_degree: int = 1
     reuse: int = 0
+    saturation: float = 1.0
+    rate_limits: tuple[float, ...] | None = None
     measurement_error: float = 0.0
     control_weight: float = 1e-3
     least_expected: float = 1e-2
     attitude: Literal["relative", "euler"] = "relative"
+    certificate: Certificate = "sampled"
+    gust: float = 0.0
+    gust_rotation: float = 0.0
+    samples: int = 400
+    confidence: float = 0.999
+    sample_seed: int = 0
     degree: int = 4
     backend: str = "aerotube"
 
     def __post_init__(self) -> None:
         choices = {
             "algorithm": ("decoupled", "coupled"),
+            "formulation": ("exact-map", "increment"),
+            "steps": ("two-step", "three-step"),
+            "terminal": ("volume", "trace", "rho"),
             "shape": ("cost-to-go", "riccati"),
             "limits": ("box", "ellipsoid"),
             "attitude": ("relative", "euler"),
+            "certificate": ("polynomial only", "sampled", "rigorous"),
         }
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
@@ -119,16 +159,38 @@ class SynthesisSettings:
                 "synthesis: a law of degree 3 in all eight errors is too large a program; choose law_degree = 2, or "
                 "the algorithm 'decoupled'."
             )
+        self._check_law()
         if self.reuse < 0:
             raise InputError(f"synthesis: reuse is {self.reuse}; it must not be negative.")
-        for name in ("noise_weight", "measurement_error"):
+        for name in ("noise_weight", "measurement_error", "gust", "gust_rotation"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"synthesis: {name} is {getattr(self, name)}; it must not be negative.")
         for name in ("control_weight", "least_expected"):
             if not getattr(self, name) > 0:
                 raise InputError(f"synthesis: {name} is {getattr(self, name)}; it must be positive.")
+        if self.samples < 100:
+            raise InputError(f"synthesis: samples is {self.samples}; it must be at least 100.")
+        if not 0 < self.confidence < 1:
+            raise InputError(f"synthesis: confidence is {self.confidence}; it must be between 0 and 1.")
         if self.degree < 2 or self.degree % 2:
             raise InputError(f"synthesis: degree is {self.degree}; it must be even and at least 2.")
+
+    def _check_law(self) -> None:
+        joint = [name for name, _ in self.weights if name in ("trace", "volume")]
+        most = 1 if self.algorithm == "coupled" else 2
+        if joint and self.law_degree > most:
+            raise InputError(
+                f"synthesis: the size {joint[0]!r} takes laws of degree {most} at most with the algorithm "
+                f"{self.algorithm!r}; law_degree is {self.law_degree}."
+            )
+        if self.formulation == "increment" and self.reuse:
+            raise InputError("synthesis: the increment form knows no reuse; choose reuse = 0, or the exact map.")
+        if not 1.0 <= self.saturation < float("inf"):
+            raise InputError(f"synthesis: saturation is {self.saturation}; it must be at least 1.")
+        if self.rate_limits is not None:
+            object.__setattr__(self, "rate_limits", tuple(float(rate) for rate in self.rate_limits))
+            if len(self.rate_limits) != 4 or not all(rate > 0 for rate in self.rate_limits):
+                raise InputError(f"synthesis: rate_limits is {self.rate_limits}; give four positive rates.")
 
     def _check_size(self) -> None:
         given = self.size
