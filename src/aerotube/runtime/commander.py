@@ -125,10 +125,11 @@ class Commander:
         if plausible(state, expected, self.gate, self._relative):
             self._doubted = 0
             return True
-        self._doubted += 1
         everywhere = np.full(8, np.inf)
-        likely = plausible(state, expected, everywhere, self._relative) and bool(self.aircraft.in_domain(state))
-        return likely and self._doubted >= 3
+        if not plausible(state, expected, everywhere, self._relative) or not bool(self.aircraft.in_domain(state)):
+            return False
+        self._doubted += 1
+        return self._doubted >= 3
 
     def command(self, number: int, measured: Array | None, beat: Beat) -> Command:
         """Command of a beat.

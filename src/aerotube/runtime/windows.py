@@ -266,7 +266,7 @@ def _assemble(
         lqr = time_varying_lqr(
             task.aircraft, nominal, made.linearisation, task.coordinates, noise_weight=task.settings.noise_weight
         ).gains
-    certified = np.isfinite(size)
+    certified = np.isfinite(size) & (origin >= 0)
     held = np.flatnonzero((rungs == Rung.LAST).any(1))
     if len(held):
         alone = _sizes(task, nominal, beats[held], None, tuple(shape[held] for shape in metric))
