@@ -4,11 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: run test lint types check format setup bench soak clean
+.PHONY: run study test lint types check format setup bench soak clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make run    set up everything and fly the built-in scenario (results in out/)"
+	@echo "make study  do the paper's experiments, ours beside the paper's (results in out/studies)"
 	@echo "make test   set up everything, check style and types, run the tests"
 	@echo "make bench  time the solver beside its peers (bench.json); BENCH='--help' tells the options"
 	@echo "make soak   ten thousand random and nasty programs (an hour)"
@@ -29,6 +30,9 @@ setup: $(STAMP)
 
 run: $(STAMP)
 	@$(BIN)/aerotube run --out out
+
+study: $(STAMP)
+	@$(BIN)/aerotube study all --out out/studies
 
 lint: $(STAMP)
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .

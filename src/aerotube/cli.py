@@ -14,6 +14,7 @@ from aerotube.commands.common import EPILOG, FAILED, FINE, INTERRUPTED, MISTAKE,
 from aerotube.commands.init import init
 from aerotube.commands.report import report
 from aerotube.commands.run import run
+from aerotube.commands.study import study
 from aerotube.errors import ComputationError, InputError
 
 cli = typer.Typer(
@@ -41,6 +42,7 @@ cli.command()(init)
 cli.command(epilog=EPILOG)(run)
 cli.command()(report)
 cli.command()(check)
+cli.command(epilog=EPILOG)(study)
 
 
 def app(arguments: Sequence[str] | None = None) -> NoReturn:
