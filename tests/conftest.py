@@ -15,7 +15,7 @@ BEATS, SEEDS, RUNS = 12, 3, 5
 HALVES = (("longitudinal", (0, 1, 2, 3)), ("lateral", (4, 5, 6, 7)))
 
 
-def made_up_law(rng: np.random.Generator, certificate: str = "solver's word") -> Law:
+def made_up_law(rng: np.random.Generator, certificate: str = "sampled") -> Law:
     shape = (BEATS, 2)
     root = np.eye(4) + 0.2 * rng.standard_normal((*shape, 4, 4))
     widths = np.array([[5.0, 0.009, 0.009, 0.017], [0.009, 0.017, 0.009, 0.017]])
@@ -36,7 +36,14 @@ def made_up_law(rng: np.random.Generator, certificate: str = "solver's word") ->
         gains=rng.standard_normal((BEATS, 4, 8)),
         feasible=np.ones(shape, dtype=bool),
         solve_seconds=0.01 + 0.001 * rng.random(shape),
-        certificate=certificate,
+        certificate=np.full(shape, certificate),
+        certificate_nominal=np.full(shape, certificate),
+        polynomial_size=0.25 * nominal_rho,
+        shares=0.05 * nominal_rho[..., None] * np.array([0.1, 0.0, 0.4, 0.3, 0.2]),
+        control=0.01 * nominal_rho,
+        boundary=np.ones(shape, dtype=bool),
+        certify_seconds=0.001 + 0.001 * rng.random(shape),
+        sampling={"samples": 400, "confidence": 0.999, "seed": 0, "share": 0.0171},
         settings={"size": "mean-square", "noise_weight": 0.0},
     )
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -141,6 +142,14 @@ def _design(
         feasible=made.feasible,
         solve_seconds=made.solve_seconds,
         certificate=tubes.certificate,
+        certificate_nominal=tubes.certificate_nominal,
+        polynomial_size=tubes.polynomial_size,
+        shares=tubes.shares,
+        control=tubes.control,
+        boundary=tubes.boundary,
+        certify_seconds=tubes.certify_seconds,
+        sampling={**asdict(tubes.sampling), "share": tubes.sampling.share},
+        notes=tubes.messages,
         messages=tuple(made.messages),
         evidence=made.evidence,
         settings=prepared.source.scenario.synthesis.setting(key),

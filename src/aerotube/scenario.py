@@ -180,6 +180,12 @@ class Setting(_Section):
     control_weight: float | None = Field(default=None, gt=0.0)
     least_expected: float | None = Field(default=None, gt=0.0)
     attitude: Literal["relative", "euler"] | None = None
+    certificate: Literal["polynomial only", "sampled", "rigorous"] | None = None
+    gust: Annotated[Speed, Field(ge=0.0)] | None = None
+    gust_rotation: Annotated[Rate, Field(ge=0.0)] | None = None
+    samples: int | None = Field(default=None, ge=100)
+    confidence: Annotated[Ratio, Field(gt=0.0, lt=1.0)] | None = None
+    sample_seed: int | None = Field(default=None, ge=0)
     degree: int | None = Field(default=None, ge=2, multiple_of=2)
     law_degree: int | None = Field(default=None, ge=1, le=3)
     reuse: int | None = Field(default=None, ge=0)

@@ -1,7 +1,9 @@
 """Compensation laws that make trajectory tubes small."""
 
+from aerotube.compensation.bounds import KINDS, NONE, SHARES
 from aerotube.compensation.design import Design, design
 from aerotube.compensation.law import LinearLaw, PolynomialLaw
+from aerotube.compensation.sampled import Sampling
 from aerotube.compensation.settings import COUPLED, DECOUPLED, Part, SynthesisSettings
 from aerotube.compensation.synthesis import Compensation, synthesise
 from aerotube.compensation.tubes import Tubes, certified_size, measure
@@ -9,11 +11,15 @@ from aerotube.compensation.tubes import Tubes, certified_size, measure
 __all__ = [
     "COUPLED",
     "DECOUPLED",
+    "KINDS",
+    "NONE",
+    "SHARES",
     "Compensation",
     "Design",
     "LinearLaw",
     "Part",
     "PolynomialLaw",
+    "Sampling",
     "SynthesisSettings",
     "Tubes",
     "certified_size",

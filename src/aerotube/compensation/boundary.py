@@ -33,7 +33,7 @@ def nodes(dimension: int, degree: int) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _laplacian(dimension: int, degree: int) -> tuple[Array, Array]:
+def _laplacian(dimension: int, degree: int) -> tuple[Array, NDArray[np.int64]]:
     """From values at the nodes to coefficients of the Laplacian (count, U), and its exponents (count, n)."""
     exponents = sos.Ball(dimension).exponents(degree)
     values = np.prod(nodes(dimension, degree)[:, None, :] ** exponents, axis=2)

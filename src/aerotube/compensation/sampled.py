@@ -19,21 +19,38 @@ one of its ends with probability one half and uniform otherwise.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from aerotube.compensation.bounds import SHARES, Bound
+from aerotube.compensation.covers import sum_around
+from aerotube.compensation.settings import Part
 from aerotube.dynamics import BeatSet
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: What the largest size found is multiplied by.
-FACTOR = 1.003
+#: What the largest size found is multiplied by, in the metric of a tube and in its terminal ellipsoid, which may be a
+#: sliver in which only what is not linear is seen.
+FACTOR, TERMINAL_FACTOR = 1.003, 1.03
 _LOCAL = 0.05  # length of a finite difference
-_STARTS, _DIRECTIONS, _STEPS = 6, 3, 8  # samples and principal directions to climb the fitted maps from
 _REFINEMENTS, _LOCAL_STEPS = 2, 2
+_FLOWN = 8  # ends of climbs on the fitted maps that are flown
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """Samples and principal directions to climb the fitted maps from, and steps of a climb."""
+
+    samples: int
+    directions: int
+    steps: int
+
+
+_USUAL, _THOROUGH = _Effort(6, 3, 8), _Effort(20, 3, 16)
 
 
 @dataclass(frozen=True)
@@ -59,11 +76,12 @@ class Sampling:
         return float(-np.expm1(np.log1p(-self.confidence) / self.samples))
 
 
-def draw(over: BeatSet, count: int, seed: int) -> Array:
-    """Independent samples of a set, in the distribution of the module's text: ndarray (count, k)."""
+@lru_cache(maxsize=16)
+def draw(balls: tuple[int, ...], count: int, seed: int) -> Array:
+    """Independent samples of a product of balls, in the distribution of the module's text: ndarray (count, k)."""
     generator = np.random.default_rng(seed)
     parts = []
-    for size in over.balls:
+    for size in balls:
         x = generator.standard_normal((count, size))
         x /= np.linalg.norm(x, axis=1, keepdims=True)
         radius = generator.random((count, 1)) ** (1.0 / size)
@@ -80,6 +98,22 @@ def support(over: BeatSet, gradient: Array) -> Array:
         out[..., start : start + size] = own / np.where(length > 0.0, length, 1.0)
         start += size
     return out
+
+
+@lru_cache(maxsize=16)
+def _fitting(
+    names: tuple[str, ...], balls: tuple[int, ...], count: int, seed: int
+) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+    """From values at the samples to coefficients of a quadratic map, and which products of variables it has.
+
+    Measurement errors and wind, of which there are many, enter linearly.
+    """
+    kinds = np.repeat([name.split(" ")[0] for name in names], balls)
+    curved = np.flatnonzero(~np.isin(kinds, ("measurement", "wind")))
+    rows, columns = (curved[i] for i in np.tril_indices(len(curved)))
+    z = draw(balls, count, seed)
+    features = np.concatenate([np.ones((count, 1)), z, z[:, rows] * z[:, columns]], axis=1)
+    return np.linalg.pinv(features, rcond=1e-9), rows, columns
 
 
 class Search:
@@ -103,29 +137,22 @@ class Search:
     def __init__(self, fly: Callable[[Array], Array], over: BeatSet, sampling: Sampling) -> None:
         self.fly, self.over = fly, over
         self.beats, _, self.size = over.error.shape
-        self.points = draw(over, sampling.samples, sampling.seed)
+        self.seed = sampling.seed
+        self.points = draw(over.balls, sampling.samples, sampling.seed)
         self.ends = fly(np.broadcast_to(self.points, (self.beats, *self.points.shape)))
         self.sound = np.isfinite(self.ends).all(axis=(1, 2))
         self.centre, self.slopes, self.bends = self._fit()
 
     def _fit(self) -> tuple[Array, Array, Array]:
-        """Quadratic maps through the samples by least squares: (b, 8), (b, 8, k) and symmetric (b, 8, k, k).
-
-        Measurement errors and wind, of which there are many, enter linearly.
-        """
-        kinds = np.repeat([name.split(" ")[0] for name in self.over.names], self.over.balls)
-        curved = np.flatnonzero(~np.isin(kinds, ("measurement", "wind")))
-        rows, columns = (curved[i] for i in np.tril_indices(len(curved)))
-        z = self.points
-        features = np.concatenate([np.ones((len(z), 1)), z, z[:, rows] * z[:, columns]], axis=1)
+        """Quadratic maps through the samples by least squares: (b, 8), (b, 8, k) and symmetric (b, 8, k, k)."""
+        inverse, rows, columns = _fitting(self.over.names, self.over.balls, len(self.points), self.seed)
         ends = np.where(np.isfinite(self.ends), self.ends, 0.0)
-        found = np.linalg.lstsq(features, np.moveaxis(ends, 1, 0).reshape(len(z), -1), rcond=1e-9)[0]
-        found = np.moveaxis(found.reshape(features.shape[1], self.beats, 8), 0, 2)
+        found = np.swapaxes(inverse @ ends, 1, 2)
         bends = np.zeros((self.beats, 8, self.size, self.size))
         bends[:, :, rows, columns] = found[..., 1 + self.size :]
         return found[..., 0], found[..., 1 : 1 + self.size], bends + np.swapaxes(bends, 2, 3)
 
-    def largest(self, errors: Sequence[int], form: Array, free: Mask) -> tuple[Array, Array]:
+    def largest(self, errors: Sequence[int], form: Array, free: Mask, thorough: bool = False) -> tuple[Array, Array]:
         """Largest ``x' form x`` found with some of the variables free, the others zero.
 
         Parameters
@@ -133,6 +160,8 @@ class Search:
         errors : sequence of int, length n
         form : ndarray (b, n, n)
         free : bool (k,)
+        thorough : bool
+            For forms in which what is not linear matters.
 
         Returns
         -------
@@ -140,14 +169,14 @@ class Search:
             Infinite where some flight was not finite. If all variables are free, at least that of every sample.
         point : ndarray (b, k)
         """
-        own = list(errors)
+        own, effort = list(errors), _THOROUGH if thorough else _USUAL
         sizes = _sizes(self.ends[..., own], form)
-        best = np.argsort(-sizes, axis=1)[:, :_STARTS]
+        best = np.argsort(-sizes, axis=1)[:, : effort.samples]
         worst = self.points[best] * free
         found = _Best(np.full(self.beats, -np.inf), np.zeros((self.beats, self.size)))
         if free.all():
             found.take(np.take_along_axis(sizes, best, axis=1), worst)
-        points = self._worst_of_fit(worst, own, free, form)
+        points = self._worst_of_fit(worst, own, free, form, effort)
         found.take(_sizes(self.fly(points)[..., own], form), points)
         for _ in range(_REFINEMENTS):
             end, slopes = self._local(found.point, own, free)
@@ -158,20 +187,23 @@ class Search:
         value = np.where(self.sound, found.value, np.inf)
         return value, found.point
 
-    def _worst_of_fit(self, starts: Array, own: list[int], free: Mask, form: Array) -> Array:
+    def _worst_of_fit(self, starts: Array, own: list[int], free: Mask, form: Array, effort: _Effort) -> Array:
         """Worst points of the fitted maps, climbed to from given points and from principal directions: (b, s, k)."""
         centre, bends = self.centre[:, None, own], self.bends[:, own] * np.outer(free, free)
         slopes = self.slopes[:, own] * free
-        vectors = np.linalg.eigh(np.swapaxes(slopes, 1, 2) @ form @ slopes)[1][..., : -1 - _DIRECTIONS : -1]
+        vectors = np.linalg.eigh(np.swapaxes(slopes, 1, 2) @ form @ slopes)[1][..., : -1 - effort.directions : -1]
         principal = support(self.over, np.swapaxes(vectors, 1, 2))
         points = np.concatenate([starts, principal, -principal], axis=1)
         flat = bends.reshape(self.beats, -1, self.size)
-        for _ in range(_STEPS):
+        for step in range(effort.steps + 1):
             bent = (points @ np.swapaxes(flat, 1, 2)).reshape(*points.shape[:2], len(own), self.size)
             ends = centre + points @ np.swapaxes(slopes, 1, 2) + 0.5 * np.einsum("bsik,bsk->bsi", bent, points)
+            if step == effort.steps:
+                break
             gradient = (ends @ form)[:, :, None, :] @ (slopes[:, None] + bent)
             points = support(self.over, gradient[:, :, 0])
-        return points
+        best = np.argsort(-_sizes(ends, form), axis=1)[:, :_FLOWN]
+        return np.asarray(np.take_along_axis(points, best[..., None], axis=1))
 
     def _local(self, point: Array, own: list[int], free: Mask) -> tuple[Array, Array]:
         """Values (b, 1, n) and slopes (b, n, k), over short steps inwards, of the map at points (b, k)."""
@@ -203,3 +235,113 @@ class _Best:
 
 def _sizes(ends: Array, form: Array) -> Array:
     return np.asarray(np.sum((ends @ form) * ends, axis=-1))
+
+
+def bound(search: Search, part: Part, form: Array, polynomial: Array) -> Bound:
+    """Sampled bounds of the tubes of a part.
+
+    Parameters
+    ----------
+    search : Search
+        Over the whole set of the beats.
+    part : Part
+    form : ndarray (b, n, n)
+        The metric.
+    polynomial : ndarray (b,)
+        Bounds of the polynomials; the sampled ones are no less.
+
+    Returns
+    -------
+    Bound
+        Without the share of the control's nonlinearity.
+    """
+    own = list(part.errors)
+    polynomial = np.where(np.isfinite(polynomial), polynomial, 0.0)
+    level, shares = polynomial, np.zeros((search.beats, len(SHARES)))
+    point = np.zeros((search.beats, search.size))
+    sound = search.sound.copy()
+    for row, free in enumerate(_levels(search.over, part)):
+        if row == SHARES.index("parameters"):
+            value = _inside(search, point, own, form)
+        elif free is None:
+            continue
+        else:
+            value, point = search.largest(own, form, free)
+        sound &= np.isfinite(value)
+        reached = np.where(sound, np.maximum(level, FACTOR * value), level)
+        shares[:, row], level = reached - level, reached
+    shape = _terminal_shape(search, own)
+    found, _ = search.largest(own, shape, np.ones(search.size, dtype=bool), thorough=True)
+    control = np.zeros(search.beats)
+    holds = sound & np.isfinite(found)
+    why = "a flight of its samples was not finite"
+    return Bound(holds, level, shares, control, shape, TERMINAL_FACTOR * found, why)
+
+
+def _levels(over: BeatSet, part: Part) -> list[Mask | None]:
+    """Which variables are free for each of `SHARES`, more and more of them; None where nothing is added."""
+    kinds = np.repeat([name.split(" ")[0] for name in over.names], over.balls)
+    others = (kinds != part.name) & (np.repeat(over.balls, over.balls) > 1)
+    noise, wind = kinds == "measurement", kinds == "wind"
+    free = ~(others | noise | wind)
+    levels: list[Mask | None] = [free.copy(), None]
+    for added in (others, noise, wind):
+        free = free | added
+        levels.append(free if added.any() else None)
+    return levels
+
+
+def _inside(search: Search, point: Array, own: list[int], form: Array) -> Array:
+    """Largest size at points (b, k) with the parameters moved off their extremes."""
+    over = search.over
+    pairs = zip(over.names, over.balls, strict=True)
+    known = np.array([" " not in name and size == 1 for name, size in pairs])
+    parameters = np.repeat(known, over.balls)
+    shrink = np.ones((3, search.size))
+    shrink[:, parameters] = np.array([[-0.5], [0.0], [0.5]])
+    return np.asarray(_sizes(search.fly(point[:, None] * shrink)[..., own], form).max(axis=1))
+
+
+def _terminal_shape(search: Search, own: list[int]) -> Array:
+    """Shapes around the sum of what each ball does linearly, and of all that is not linear: ndarray (b, n, n)."""
+    slopes, start = search.slopes[:, own], 0
+    centre = search.centre[:, own]
+    pieces = [centre[:, :, None] * centre[:, None]]
+    for size in search.over.balls:
+        column = slopes[:, :, start : start + size]
+        pieces.append(column @ np.swapaxes(column, 1, 2))
+        start += size
+    left = search.ends[..., own] - centre[:, None] - search.points @ np.swapaxes(slopes, 1, 2)
+    left = np.where(np.isfinite(left), left, 0.0)
+    spread = np.swapaxes(left, 1, 2) @ left / left.shape[1]
+    # in no direction less than a millionth of what there is in all, so that the shape has an inverse
+    scale = np.sqrt(np.diagonal(sum(pieces) + spread, axis1=1, axis2=2))
+    spread = spread + 1e-12 * scale[:, :, None] * np.eye(len(own)) * scale[:, None]
+    reach = np.sum((left @ np.linalg.inv(spread)) * left, axis=-1).max(axis=1)
+    pieces.append(spread * np.maximum(reach, 1.0)[:, None, None])
+    return np.asarray(np.linalg.inv(sum_around(np.stack(pieces))))
+
+
+def with_control(given: Bound, search: Search, flat: Search, part: Part, form: Array, polynomial: Array) -> Bound:
+    """The bound with the share of the control's nonlinearity: the bend that the law adds to the fitted map.
+
+    Parameters
+    ----------
+    given : Bound
+    search, flat : Search
+        With the law, and without it.
+    part : Part
+    form : ndarray (b, n, n)
+    polynomial : ndarray (b,)
+
+    Returns
+    -------
+    Bound
+    """
+    own, first = list(part.errors), search.over.columns(part.name)
+    z = search.points[:, first]
+    bends = (search.bends[:, :, first, first] - flat.bends[:, :, first, first])[:, own]
+    bent = 0.5 * np.einsum("bnij,ui,uj->bun", bends, z, z, optimize=True)
+    norm = np.sqrt(_sizes(bent, form).max(axis=1))
+    root = np.sqrt(np.where(np.isfinite(polynomial), polynomial, 0.0))
+    return replace(given, control=root**2 - np.maximum(root - norm, 0.0) ** 2)

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerotube import sos
 from aerotube.aircraft.base import Aircraft
-from aerotube.compensation import exact_map
+from aerotube.compensation import boundary, exact_map
+from aerotube.compensation.bounds import NONE, SHARES, Beyond, Bound
+from aerotube.compensation.certify import Work, rigorous_bounds, sampled_bounds
 from aerotube.compensation.closed_loop import BatchLaw, end_errors
-from aerotube.compensation.sets import initial_ellipsoid
+from aerotube.compensation.polynomial import deficit, enough, least_volume, size
+from aerotube.compensation.sampled import Sampling
+from aerotube.compensation.sets import InitialEllipsoid, initial_ellipsoid
 from aerotube.compensation.settings import Part, SynthesisSettings
 from aerotube.dynamics import ErrorCoordinates
 from aerotube.nominal import Nominal
-from aerotube.tube import DisturbanceBox
+from aerotube.tube import DisturbanceSet
 
 Array = NDArray[np.float64]
 
@@ -30,20 +33,47 @@ class Tubes:
     ----------
     parts : tuple of Part
     initial_shape, initial_rho : ndarray (T, parts, n, n), (T, parts)
-        Initial ellipsoids: of least volume around the disturbance box.
+        Initial ellipsoids around the disturbance set.
     metric : ndarray (T, parts, n, n)
-        The metric E1 the synthesis measured size in.
+        The metric E1 in which size is measured.
     size, size_nominal : ndarray (T, parts)
-        Least ``rho`` in that metric, with the law and without it, certified.
+        Bound of the size in that metric, with the law and without it, of the kind that `certificate` says.
     terminal_shape, terminal_rho : ndarray (T, parts, n, n), (T, parts)
-        Terminal ellipsoids of least volume, with the law, certified; ``rho`` is one but for the certificate's
-        margin.
+        Terminal ellipsoids, with the law, of the same kind.
     nominal_shape, nominal_rho : ndarray (T, parts, n, n), (T, parts)
         The same without compensation.
-    certificate : str
-        What stands behind these numbers: ``"polynomial only"`` says that they are checked, and hold for the
-        polynomials through the values of the closed loop at the nodes, on the boundary of the initial ellipsoid
-        and at the extreme parameters; not, as yet, for what lies between.
+    certificate, certificate_nominal : ndarray (T, parts) of str
+        What stands behind the numbers with the law and without it:
+
+        "solver's word"
+            the solver's own values, which failed the check;
+        "polynomial only"
+            checked, for the polynomials through the values of the closed loop at the nodes, at the extreme parameters,
+            the other parts' errors zero, measured exactly, in still air;
+        "sampled"
+            the true map over the whole set (parameters inside their ranges, the other parts' errors anywhere in their
+            ellipsoids, the measurement errors and gusts that were asked for) exceeds them on no more than a share of
+            the set, with a confidence that `sampling` states (`aerotube.compensation.sampled`);
+        "rigorous"
+            the true map over the whole set does not exceed them (`aerotube.compensation.rigorous`);
+        "none"
+            there is no tube, and the numbers are NaN.
+    polynomial_size : ndarray (T, parts)
+        Bound of the polynomials' size with the law, to which the rest was added.
+    shares : ndarray (T, parts, 5)
+        What each of `aerotube.compensation.SHARES` adds to it: together ``size - polynomial_size``. NaN where nothing
+        was looked at beyond the polynomials.
+    control : ndarray (T, parts)
+        What the nonlinearity of the control's effect, which the law's program leaves out, can have added to the
+        polynomials' size, of which it is a part. NaN where it was not looked at.
+    boundary : ndarray (T, parts) of bool
+        Whether the boundary of the initial ellipsoid is enough; the programs are on the whole ellipsoid otherwise.
+    sampling : Sampling
+        Number, confidence and seed of the samples of "sampled" tubes.
+    certify_seconds : ndarray (T, parts)
+        Time of what was added to the polynomials' bounds, one part of one beat, with the law; NaN where there is none.
+    messages : tuple of str
+        One sentence for each tube whose certificate is less than was asked for.
     """
 
     parts: tuple[Part, ...]
@@ -56,18 +86,27 @@ class Tubes:
     terminal_rho: Array
     nominal_shape: Array
     nominal_rho: Array
-    certificate: str
+    certificate: NDArray[np.str_]
+    certificate_nominal: NDArray[np.str_]
+    polynomial_size: Array
+    shares: Array
+    control: Array
+    boundary: NDArray[np.bool_]
+    sampling: Sampling
+    certify_seconds: Array
+    messages: tuple[str, ...] = ()
 
 
 def measure(
     aircraft: Aircraft,
     nominal: Nominal,
-    disturbance: DisturbanceBox,
+    disturbance: DisturbanceSet,
     law: BatchLaw,
     metric: Sequence[Array],
     settings: SynthesisSettings,
     *,
     beats: range | None = None,
+    parts: Sequence[Part] | None = None,
     workers: int = 1,
 ) -> tuple[Tubes, tuple[sos.Certificate, ...]]:
     """Sizes and terminal ellipsoids of tubes, with a law and without it.
@@ -76,44 +115,94 @@ def measure(
     ----------
     aircraft : Aircraft
     nominal : Nominal
-    disturbance : DisturbanceBox
+    disturbance : DisturbanceSet
     law : BatchLaw
     metric : sequence of ndarray (b, n, n)
         In which the size of each part is measured.
     settings : SynthesisSettings
-        Parts, degree and backend of the programs.
+        Certificate asked for, what tubes must withstand, degree and backend of the programs.
     beats : range, optional
         All by default.
+    parts : sequence of Part, optional
+        Of the tubes; those of the settings by default. Where they are others, each has the metric whose blocks are
+        those of the settings' parts within it: ``COUPLED`` gives a decoupled law one tube for all eight errors.
     workers : int
-        Threads that solve.
+        Threads that solve; the numbers do not depend on it.
 
     Returns
     -------
     tubes : Tubes
         NaN where there is none.
     evidence : tuple of sos.Certificate
-        Of the sizes with the law, one for each part.
+        Of the polynomials' sizes with the law, one for each part.
     """
     chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
-    vertices = disturbance.parameter_vertices(aircraft)
-    found: list[dict[str, Array]] = []
-    evidence = []
-    for part, shape in zip(settings.parts, metric, strict=True):
-        initial = initial_ellipsoid(disturbance, law.coordinates, nominal.states[chosen], part)
-        nodes = exact_map.size_structure(len(part.errors), len(vertices), settings.degree).nodes("tube/0")
-        points = np.einsum("bij,uj->bui", initial.whitening, nodes)
-        sample = partial(end_errors, aircraft, nominal, chosen, law.coordinates, part, points, vertices)
-        tubes, certificate = _measure_part(sample(law), sample(), shape, settings, workers)
-        found.append({"initial_shape": initial.shape, "initial_rho": initial.rho} | tubes)
-        evidence.append(certificate)
-    stacked = {name: np.stack([one[name] for one in found], axis=1) for name in found[0]}
-    return Tubes(settings.parts, **stacked, certificate="polynomial only"), tuple(evidence)
+    wanted = settings.parts if parts is None else tuple(parts)
+    forms = tuple(metric) if wanted == settings.parts else regrouped(metric, settings.parts, wanted)
+    work = Work(
+        aircraft=aircraft,
+        nominal=nominal,
+        disturbance=disturbance,
+        coordinates=law.coordinates,
+        beats=chosen,
+        parts=wanted,
+        metric=forms,
+        degree=max(settings.degree, 2 * settings.law_degree),
+        beyond=Beyond(settings.measurement_error, settings.gust, settings.gust_rotation),
+        sampling=Sampling(settings.samples, settings.confidence, settings.sample_seed),
+        workers=workers,
+    )
+    initial = [initial_ellipsoid(disturbance, law.coordinates, nominal.states[chosen], part) for part in wanted]
+    made = {}
+    for name, flown in (("", law), ("nominal", None)):
+        made[name] = [
+            _Measured(work, index, ellipsoid, flown, settings.backend) for index, ellipsoid in enumerate(initial)
+        ]
+    if settings.certificate != "polynomial only":
+        _raise(work, made, law, settings.certificate)
+    for measured in (*made[""], *made["nominal"]):
+        measured.finish()
+    with_law, without = made[""], made["nominal"]
+
+    def stacked(name: str, of: list[_Measured]) -> Array:
+        return np.stack([getattr(one, name) for one in of], axis=1)
+
+    tubes = Tubes(
+        parts=wanted,
+        initial_shape=np.stack([one.shape for one in initial], axis=1),
+        initial_rho=np.stack([one.rho for one in initial], axis=1),
+        metric=np.stack(forms, axis=1),
+        size=stacked("size", with_law),
+        size_nominal=stacked("size", without),
+        terminal_shape=stacked("shape", with_law),
+        terminal_rho=stacked("rho", with_law),
+        nominal_shape=stacked("shape", without),
+        nominal_rho=stacked("rho", without),
+        certificate=np.stack([one.kind for one in with_law], axis=1),
+        certificate_nominal=np.stack([one.kind for one in without], axis=1),
+        polynomial_size=np.stack([np.where(one.kind == NONE, np.nan, one.polynomial.rho) for one in with_law], axis=1),
+        shares=stacked("shares", with_law),
+        control=stacked("control", with_law),
+        boundary=np.stack([one.polynomial.boundary for one in with_law], axis=1),
+        sampling=work.sampling,
+        certify_seconds=stacked("seconds", with_law),
+        messages=tuple(message for one in (*with_law, *without) for message in one.messages),
+    )
+    return tubes, tuple(one.polynomial.certificate for one in with_law)
+
+
+def regrouped(metric: Sequence[Array], given: Sequence[Part], wanted: Sequence[Part]) -> tuple[Array, ...]:
+    """Metrics (b, n, n) of other parts: blocks of those of the given parts, zero between them."""
+    whole = np.zeros((len(metric[0]), 8, 8))
+    for part, form in zip(given, metric, strict=True):
+        whole[:, np.array(part.errors)[:, None], part.errors] = form
+    return tuple(whole[:, np.array(part.errors)[:, None], part.errors] for part in wanted)
 
 
 def certified_size(
     aircraft: Aircraft,
     nominal: Nominal,
-    disturbance: DisturbanceBox,
+    disturbance: DisturbanceSet,
     law: BatchLaw | None,
     metric: Sequence[Array],
     settings: SynthesisSettings,
@@ -146,60 +235,81 @@ def certified_size(
         problem, unit = exact_map.size_data(structure, end, shape)
         # less is asked of the solver: what it leaves, the certificate adds, and the size stays a bound
         found = sos.solve(structure, problem, backend=settings.backend, workers=workers, tolerance=1e-4)
-        sizes.append((found["rho"] + 1.01 * np.maximum(_deficit(found), 0.0) + 1e-14) * unit)
+        sizes.append((found["rho"] + 1.01 * np.maximum(deficit(found), 0.0) + 1e-14) * unit)
     return np.stack(sizes, axis=1)
 
 
-def _measure_part(
-    with_law: Array, without: Array, metric: Array, settings: SynthesisSettings, workers: int
-) -> tuple[dict[str, Array], sos.Certificate]:
-    """Tubes of one part, from its errors (b, k, U, n) at the end of the beats."""
-    closed_shape, closed_rho = _least_volume(with_law, settings, workers)
-    open_shape, open_rho = _least_volume(without, settings, workers)
-    size, evidence = _least_rho(with_law, metric, settings, workers)
-    tubes = {
-        "metric": metric,
-        "size": size,
-        "size_nominal": _least_rho(without, metric, settings, workers)[0],
-        "terminal_shape": closed_shape,
-        "terminal_rho": closed_rho,
-        "nominal_shape": open_shape,
-        "nominal_rho": open_rho,
-    }
-    return tubes, evidence
+class _Measured:
+    """Tubes of one part with a law or without, as they are made: the polynomials' bound first, then what is beyond."""
+
+    def __init__(self, work: Work, index: int, initial: InitialEllipsoid, law: BatchLaw | None, backend: str) -> None:
+        self.work, self.part, self.law = work, work.parts[index], law
+        n, degree = len(self.part.errors), work.degree
+        vertices = work.disturbance.parameter_vertices(work.aircraft)
+        metric = work.metric[index]
+
+        def end(nodes: Array) -> Array:
+            points = np.einsum("bij,uj->bui", initial.whitening, nodes)
+            return end_errors(
+                work.aircraft, work.nominal, work.beats, work.coordinates, self.part, points, vertices, law
+            )
+
+        self.inside = end(boundary.nodes(n, degree))
+        sufficient = enough(self.inside, metric, degree)
+        self.on_ball = not sufficient.all()
+        nodes = boundary.nodes(n, degree)
+        ends = self.inside
+        if not self.on_ball:
+            nodes = exact_map.size_structure(n, len(vertices), degree).nodes("tube/0")
+            ends = end(nodes)
+        found = size(ends, metric, degree, nodes, self.on_ball, backend, work.workers)
+        self.polynomial = replace(found, boundary=sufficient)
+        count = len(work.beats)
+        self.kind = np.full(count, NONE, dtype="<U15")
+        self.kind[np.isfinite(found.rho)] = "solver's word"
+        self.kind[found.certified] = "polynomial only"
+        self.size = np.where(self.kind == NONE, np.nan, found.rho)
+        self.shape, self.rho = np.full((count, n, n), np.nan), np.full(count, np.nan)
+        self.shares, self.control = np.full((count, len(SHARES)), np.nan), np.full(count, np.nan)
+        self.seconds = np.full(count, np.nan)
+        self.messages: list[str] = []
+
+    def raised(self, bound: Bound, kind: str, seconds: Array, asked: str) -> None:
+        """Take over a bound where it holds and there is none of a better kind."""
+        new = bound.holds & ~self.beyond
+        self.kind[new] = kind
+        for name in ("size", "shares", "control", "shape", "rho"):
+            getattr(self, name)[new] = getattr(bound, name)[new]
+        self.seconds[new] = seconds[new]
+        whose = "" if self.law is not None else ", without compensation"
+        if kind == asked:
+            self.messages = [
+                f"beat {self.work.beats[i]}, {self.part.name}{whose}: the tube is not {asked}: {bound.why}."
+                for i in np.flatnonzero(~bound.holds)
+            ]
+
+    @property
+    def beyond(self) -> NDArray[np.bool_]:
+        """Beats that have a bound beyond the polynomials'."""
+        return np.isin(self.kind, ("sampled", "rigorous"))
+
+    def finish(self) -> None:
+        """Find the terminal ellipsoids of the beats that have no bound beyond the polynomials'."""
+        rows = np.flatnonzero(~self.beyond & (self.kind != NONE))
+        if rows.size:
+            shape, rho = least_volume(self.inside[rows], self.work.degree, self.work.workers)
+            self.shape[rows], self.rho[rows] = shape, rho
 
 
-def _least_rho(end: Array, metric: Array, settings: SynthesisSettings, workers: int) -> tuple[Array, sos.Certificate]:
-    structure = exact_map.size_structure(end.shape[3], end.shape[1], settings.degree)
-    problem, unit = exact_map.size_data(structure, end, metric)
-    certificate = _lifted(sos.solve(structure, problem, backend=settings.backend, workers=workers))
-    return np.asarray(np.where(certificate.holds, certificate.solution["rho"] * unit, np.nan)), certificate
-
-
-def _least_volume(end: Array, settings: SynthesisSettings, workers: int) -> tuple[Array, Array]:
-    structure = exact_map.volume_structure(end.shape[3], end.shape[1], settings.degree)
-    problem, unit = exact_map.volume_data(structure, end)
-    solution = sos.solve(structure, problem, backend="aerotube", workers=workers)
-    form, rho = solution["E"], 1.0 + _deficit(solution)
-    finite = np.asarray(np.isfinite(form).all((1, 2)))
-    form = np.where(finite[:, None, None], form, 0.0)
-    there = finite & (np.linalg.eigvalsh(0.5 * (form + np.swapaxes(form, 1, 2)))[:, 0] > 0)
-    shape = np.swapaxes(unit, 1, 2) @ form @ unit
-    return np.where(there[:, None, None], shape, np.nan), np.where(there, rho, np.nan)
-
-
-def _deficit(solution: sos.Solution) -> Array:
-    """What must be added to a tube's ``rho`` for it to hold whatever the solver said: ndarray (b,).
-
-    The certificate bounds from below what the solver claims to be positive; NaN where there is no answer at all.
-    """
-    margins = solution.certificate().margins
-    deficit = -np.min([margin for name, margin in margins.items() if name.startswith("tube/")], axis=0)
-    return np.asarray(np.where(np.isfinite(solution.values).all(-1) & np.isfinite(deficit), deficit, np.nan))
-
-
-def _lifted(solution: sos.Solution) -> sos.Certificate:
-    """The certificate of a size program, its ``rho`` raised by as much as makes it hold (and a percent more)."""
-    lift = np.nan_to_num(1.01 * np.maximum(_deficit(solution), 0.0)) + 1e-14
-    values = solution.values + lift[:, None]
-    return replace(solution, values=values, objective=solution.objective + lift).certificate()
+def _raise(work: Work, made: dict[str, list[_Measured]], law: BatchLaw, asked: str) -> None:
+    """Add what is beyond the polynomials, of the kind that was asked for, and of the next lower where that fails."""
+    pairs = list(zip(made[""], made["nominal"], strict=True))
+    sizes = [((a.polynomial, a.on_ball), (b.polynomial, b.on_ball)) for a, b in pairs]
+    if asked == "rigorous":
+        for pair, bounds in zip(pairs, rigorous_bounds(work, law, sizes), strict=True):
+            for one, (bound, seconds) in zip(pair, bounds, strict=True):
+                one.raised(bound, "rigorous", seconds, asked)
+    if asked == "sampled" or not all(one.beyond.all() for pair in pairs for one in pair):
+        for pair, bounds in zip(pairs, sampled_bounds(work, law, sizes), strict=True):
+            for one, (bound, seconds) in zip(pair, bounds, strict=True):
+                one.raised(bound, "sampled", seconds, asked)

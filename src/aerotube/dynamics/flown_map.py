@@ -80,6 +80,8 @@ def flown_map(
     if quick is None:
         end = step(aircraft, start, held, nominal.dt, parameters=sigma, wind=air)
     else:
-        flat = (np.ascontiguousarray(part.reshape(rows[0] * rows[1], -1)) for part in (start, held, sigma, air))
-        end = quick(*flat, nominal.dt, 1).reshape(*rows, -1)
+        states, controls, parameters, wind = (
+            np.ascontiguousarray(part.reshape(rows[0] * rows[1], -1)) for part in (start, held, sigma, air)
+        )
+        end = quick(states, controls, parameters, wind, nominal.dt, 1).reshape(*rows, -1)
     return coordinates.difference(end, after)

@@ -302,6 +302,26 @@ def graded_sizes(enclosure: ErrorEnclosure, metric: Array, errors: Sequence[int]
     return np.stack([norm(terms, rounding, degrees == k) for k in range(enclosure.space.order + 1)], axis=1)
 
 
+def component_norms(enclosure: ErrorEnclosure, errors: Sequence[int], mask: NDArray[np.bool_]) -> Array:
+    """Bounds of the absolute value of some terms of components of the polynomial.
+
+    Parameters
+    ----------
+    enclosure : ErrorEnclosure
+    errors : sequence of int, length n
+    mask : bool (size,)
+        The terms.
+
+    Returns
+    -------
+    ndarray (b, n)
+    """
+    norm, terms = _VectorNorm(enclosure.space), enclosure.coefficients[:, list(errors)]
+    beats, n, size = terms.shape
+    exact = np.zeros((beats * n, 1, size))
+    return norm(terms.reshape(beats * n, 1, size), exact, mask).reshape(beats, n)
+
+
 def _in_metric(coefficients: Array, metric: Array, errors: Sequence[int]) -> tuple[Array, Array, Array]:
     """Root of the metric, the coefficients (b, n, size) times it, and a bound of the rounding of that product."""
     root, chosen = _root(metric), coefficients[:, list(errors)]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from aerotube.report.assurance import containment_figure, margins_figure
 from aerotube.report.coefficients import coefficients_figure
 from aerotube.report.page import build_page
+from aerotube.report.shares import shares_figure
 from aerotube.report.tracking import tracking_figure
 from aerotube.report.tubes import tubes_figure
 from aerotube.results import CALM, ESTIMATOR, NOISE, summarise, whole_file, write_text
@@ -41,6 +42,7 @@ def draw(dataset: xr.Dataset, folder: str | Path) -> dict[str, Path]:
     figures: dict[str, Figure | None] = {
         "fig7_coefficients": coefficients_figure(dataset),
         "fig8_tubes": tubes_figure(dataset, law),
+        "tube_shares": shares_figure(dataset),
         "margins": margins_figure(dataset),
         "containment": containment_figure(dataset),
         "fig9_tracking": tracking_figure(dataset, CALM),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from aerotube.report import assurance, interactive
 from aerotube.report.style import flown
-from aerotube.report.tubes import certificate_words
+from aerotube.report.tubes import certificate_words, sampling_words
 from aerotube.results import CALM, CONDITION_WORDS, CONTROLLER_WORDS, ESTIMATOR, KEY_SUFFIX, NOISE
 
 if TYPE_CHECKING:
@@ -196,12 +196,14 @@ def _tubes(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str
     for name, law in summary["laws"].items():
         settings = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in law["settings"].items())
         solve = law["solve_ms"]
+        beyond = law["certify_ms"]["median"]
         time = "–" if solve["median"] is None else f"{solve['median']:.1f} / {solve['p99']:.1f}"
+        more = "–" if beyond is None else f"{beyond:.1f}"
         rows.append(
             f'<tr><td class="w">{escape(name.replace("_", "-"))}</td>'
             f"<td>{escape(certificate_words(law['certificate']))}</td>"
             f'<td class="n">{law["feasible_beats"]} of {summary["beats"]}</td><td class="n">{time}</td>'
-            f"<td>{escape(settings)}</td></tr>"
+            f'<td class="n">{more}</td><td>{escape(settings)}</td></tr>'
         )
     first = str(dataset["law"].values[0])
     return (
@@ -209,10 +211,43 @@ def _tubes(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str
         "beat. What a tube is worth depends on its certificate. A law that looks beyond the beat (cost-to-go) may "
         "widen the tube in one state to be rid of an error in another later on.</p>"
         '<div class="scroll"><table><tr><th>law</th><th>certificate of its tubes</th><th class="n">feasible beats</th>'
-        '<th class="n">solve, median / p99 (ms)</th><th>settings</th></tr>'
+        '<th class="n">solve, median / p99 (ms)</th><th class="n">beyond the polynomial, median (ms)</th>'
+        "<th>settings</th></tr>"
         f"{''.join(rows)}</table></div>"
+        f"{_beyond(summary, figures)}"
         f"{interactive.tubes_html(dataset, first)}"
         + _picture(figures, "fig8_tubes", "Tubes and their half-widths over time (counterpart of the paper's Fig. 8).")
+    )
+
+
+def _beyond(summary: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
+    """What the tubes hold beyond their polynomials."""
+    rows, words, notes = [], "", []
+    for name, law in summary["laws"].items():
+        if "sampled" in law["certificate"]:
+            words = f"<p>{escape(sampling_words(law['sampling']))}</p>"
+        notes += [f"{name.replace('_', '-')} law, {note}" for note in law["certificate_notes"]]
+        for part, excess in law["tube_excess"].items():
+            if excess is None:
+                continue
+            numbers = (excess["median"], excess["largest"], *excess["shares"].values(), excess["control"])
+            cells = "".join(f'<td class="n">{100 * number:.1f}</td>' for number in numbers)
+            rows.append(f'<tr><td class="w">{escape(name.replace("_", "-"))}</td><td>{escape(part)}</td>{cells}</tr>')
+    told = "".join(f"<li>{escape(note)}</li>" for note in notes[:20])
+    less = f"<details><summary>{len(notes)} tubes rest on less than was asked for</summary><ul>{told}</ul></details>"
+    if not rows:
+        return less if notes else ""
+    heads = ("median", "largest", "remainder", "parameters", "coupling", "measurement", "gusts", "control (within)")
+    head = "".join(f'<th class="n">{escape(title)}</th>' for title in heads)
+    caption = (
+        "What is added to the bound of each program's polynomial, in percent of it. Where the control's nonlinearity "
+        "acts, it is a part of the polynomial already."
+    )
+    return (
+        f"{words}<p>By how much tubes are larger than their polynomials' (ρ, in percent): median and largest of the "
+        f"beats, then what makes it up, mean of the beats.</p>"
+        f'<div class="scroll"><table><tr><th>law</th><th>part</th>{head}</tr>{"".join(rows)}</table></div>'
+        f"{less if notes else ''}" + _picture(figures, "tube_shares", caption)
     )
 
 

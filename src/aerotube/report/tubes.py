@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,10 +21,11 @@ if TYPE_CHECKING:
 PAIRS = (("alpha", "q"), ("V", "theta"), ("beta", "r"), ("phi", "p"))
 
 CERTIFICATES = {
-    "solver's word": "the solver's own value, not checked",
+    "solver's word": "the solver's own value, which failed the check",
     "polynomial only": "checked for the polynomial model of the aircraft, which leaves a remainder out",
     "sampled": "the remainder is bounded with a stated confidence from samples",
     "rigorous": "the remainder is bounded rigorously",
+    "none": "no tube was found",
 }
 
 
@@ -99,9 +101,22 @@ def projection(dataset: xr.Dataset, law: str, pair: tuple[str, str]) -> Projecti
     )
 
 
-def certificate_words(kind: str) -> str:
-    """Say what a kind of certificate is worth."""
-    return f"{kind} ({CERTIFICATES[kind]})" if kind in CERTIFICATES else kind
+def certificate_words(counts: Mapping[str, int]) -> str:
+    """Say what the certificates of tubes are worth, from the number of each kind."""
+    total = sum(counts.values())
+    return "; ".join(
+        ("" if count == total else f"{count} of {total} tubes ") + f"{kind} ({CERTIFICATES[kind]})"
+        for kind, count in counts.items()
+    )
+
+
+def sampling_words(sampling: Mapping[str, float]) -> str:
+    """Say what samples are worth."""
+    return (
+        f"Sampled: with a confidence of {100 * sampling['confidence']:g} %, for each beat and part, at most "
+        f"{100 * sampling['share']:.2g} % of the set exceeds the tube, by the distribution of its "
+        f"{sampling['samples']:g} independent samples; searches from the worst of them have raised it further."
+    )
 
 
 def tubes_figure(dataset: xr.Dataset, law: str) -> Figure | None:
@@ -119,10 +134,11 @@ def tubes_figure(dataset: xr.Dataset, law: str) -> Figure | None:
     """
     if "law" not in dataset.dims:
         return None
-    kind = str(dataset["certificate"].sel(law=law).values)
+    kinds, numbers = np.unique(dataset["certificate"].sel(law=law).values, return_counts=True)
+    counts = {str(kind): int(number) for kind, number in zip(kinds, numbers, strict=True)}
     title = (
         "Trajectory tubes about the nominal: the error one beat after the disturbance set "
-        f"({law.replace('_', '-')} law)\ncertificate: {certificate_words(kind)}"
+        f"({law.replace('_', '-')} law)\ncertificate: {certificate_words(counts)}"
     )
     figure = new_figure(16, 10, title)
     grid = figure.add_gridspec(4, 2, left=0.62, right=0.99, bottom=0.09, top=0.9, hspace=0.5, wspace=0.2)

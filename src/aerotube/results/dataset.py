@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aerotube.compensation import SHARES
 from aerotube.errors import InputError
 from aerotube.results.assurance import put_containment, put_margins
 from aerotube.results.record import (
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 #: Raised by one in its last place when a variable is added, in its first when one is renamed or removed.
-SCHEMA_VERSION = "1.1"
+SCHEMA_VERSION = "2.0"
 
 #: Where the unit changes along the last axis: one for each label of the axis, in its order.
 _UNITS_BY_STATE, _UNITS_BY_CONTROL = ", ".join(STATE_UNITS), ", ".join(CONTROL_UNITS)
@@ -145,12 +146,34 @@ def _put_laws(dataset: xr.Dataset, laws: dict[str, Law]) -> None:
         stacked("solve_seconds"),
         {"units": "s", "long_name": "time to solve one part"},
     )
-    dataset["certificate"] = (
-        "law",
-        [law.certificate for law in laws.values()],
-        {"long_name": "what the tubes rest on"},
-    )
+    _put_certificates(dataset, laws)
     dataset["settings"] = ("law", [json.dumps(dict(law.settings)) for law in laws.values()])
+
+
+def _put_certificates(dataset: xr.Dataset, laws: dict[str, Law]) -> None:
+    """Put what each tube rests on and what it is made of."""
+    dataset.coords["share"] = ("share", list(SHARES), {"long_name": "what a polynomial's bound leaves out of a tube"})
+    size = ("law", "beat", "part")
+
+    def put(name: str, attribute: str, dims: tuple[str, ...], **attributes: str) -> None:
+        dataset[name] = (dims, np.stack([getattr(law, attribute) for law in laws.values()]), attributes)
+
+    put("certificate", "certificate", size, long_name="what the tubes rest on, with the law")
+    put("certificate_nominal", "certificate_nominal", size, long_name="what they rest on, without compensation")
+    put("size_polynomial", "polynomial_size", size, units="1", long_name="bound of the polynomials' size, with the law")
+    put("size_share", "shares", (*size, "share"), units="1", long_name="what is added to size_polynomial to make size")
+    put(
+        "size_control", "control", size, units="1",
+        long_name="what the nonlinearity of the control's effect can have added, as a part of size_polynomial",
+    )  # fmt: skip
+    put("boundary_enough", "boundary", size, long_name="the programs are on the boundary of the initial ellipsoid")
+    put("certify_time", "certify_seconds", size, units="s", long_name="time of what is added to size_polynomial")
+    dataset["sampling"] = (
+        "law",
+        [json.dumps(dict(law.sampling)) for law in laws.values()],
+        {"long_name": "of sampled tubes: with this confidence no more than this share of the set exceeds them"},
+    )
+    dataset["certificate_note"] = ("law", [json.dumps(list(law.notes)) for law in laws.values()])
 
 
 def _put_cases(dataset: xr.Dataset, record: Record) -> None:

@@ -56,8 +56,23 @@ class Law:
         Linear part of the law, control increment (SI) per error (SI).
     feasible : ndarray of bool (beat, part)
     solve_seconds : ndarray (beat, part)
-    certificate : str
-        The kind of certificate that the tubes have.
+    certificate, certificate_nominal : ndarray of str (beat, part)
+        What stands behind each tube, with the law and without it: "solver's word", "polynomial only", "sampled",
+        "rigorous", or "none" where there is no tube.
+    polynomial_size : ndarray (beat, part)
+        Bound of the polynomials' size, to which the rest was added.
+    shares : ndarray (beat, part, share)
+        What each of `aerotube.compensation.SHARES` adds to it.
+    control : ndarray (beat, part)
+        What the nonlinearity of the control's effect can have added to the polynomials' size, of which it is a part.
+    boundary : ndarray of bool (beat, part)
+        Whether the boundary of the initial ellipsoid is enough.
+    certify_seconds : ndarray (beat, part)
+        Time of what was added to the polynomials' bounds.
+    sampling : mapping
+        Number, confidence, share and seed of the samples of "sampled" tubes.
+    notes : tuple of str
+        One sentence for each tube whose certificate is less than was asked for.
     messages : tuple of str
         One sentence for each infeasible beat.
     evidence : tuple of Certificate
@@ -81,7 +96,15 @@ class Law:
     gains: Array
     feasible: NDArray[np.bool_]
     solve_seconds: Array
-    certificate: str
+    certificate: NDArray[np.str_]
+    certificate_nominal: NDArray[np.str_]
+    polynomial_size: Array
+    shares: Array
+    control: Array
+    boundary: NDArray[np.bool_]
+    certify_seconds: Array
+    sampling: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
     messages: tuple[str, ...] = ()
     evidence: tuple[Certificate, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)

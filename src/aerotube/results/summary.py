@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aerotube.compensation import KINDS, NONE
 from aerotube.results.assurance import summarise_containment, summarise_margins
 from aerotube.results.record import CONTROLLERS, KEY_SUFFIX
 
@@ -124,7 +125,11 @@ def _of_laws(dataset: xr.Dataset) -> dict[str, Any]:
     laws = {
         str(name): {
             "feasible_beats": int(both.sel(law=name).sum()),
-            "certificate": str(dataset["certificate"].sel(law=name).values),
+            "certificate": _counts(dataset["certificate"].sel(law=name).values),
+            "certificate_notes": json.loads(str(dataset["certificate_note"].sel(law=name).values)),
+            "sampling": json.loads(str(dataset["sampling"].sel(law=name).values)),
+            "tube_excess": _excess(dataset.sel(law=name)),
+            "certify_ms": _percentiles(1e3 * dataset["certify_time"].sel(law=name).values),
             "solve_ms": _percentiles(milliseconds.sel(law=name).values),
             "settings": json.loads(str(dataset["settings"].sel(law=name).values)),
             "margins": summarise_margins(dataset, str(name)),
@@ -137,6 +142,32 @@ def _of_laws(dataset: xr.Dataset) -> dict[str, Any]:
         "solve_ms": _percentiles(milliseconds.values),
         "laws": laws,
     }
+
+
+def _counts(kinds: np.ndarray) -> dict[str, int]:
+    """How many tubes have each kind of certificate, the best first."""
+    found = [str(kind) for kind in kinds.ravel()]
+    return {kind: found.count(kind) for kind in (*reversed(KINDS), NONE) if kind in found}
+
+
+def _excess(law: xr.Dataset) -> dict[str, Any]:
+    """By how much tubes are larger than their polynomials' (rho, relative), part by part, and what makes it up."""
+    out: dict[str, Any] = {}
+    for part in law["part"].values:
+        chosen = law.sel(part=part)
+        relative = chosen["size_share"] / chosen["size_polynomial"]
+        beats = np.isfinite(relative.values).all(axis=-1)
+        if not beats.any():
+            out[str(part)] = None
+            continue
+        whole = relative.sum("share").values[beats]
+        out[str(part)] = {
+            "median": float(np.median(whole)),
+            "largest": float(whole.max()),
+            "shares": {str(name): float(relative.sel(share=name).values[beats].mean()) for name in law["share"].values},
+            "control": float((chosen["size_control"] / chosen["size_polynomial"]).values[beats].mean()),
+        }
+    return out
 
 
 def _percentiles(values: np.ndarray) -> dict[str, float | None]:
