@@ -11,6 +11,7 @@ import typer
 from aerotube import __version__
 from aerotube.commands.check import check
 from aerotube.commands.common import EPILOG, FAILED, FINE, INTERRUPTED, MISTAKE, Interrupted
+from aerotube.commands.fly import fly
 from aerotube.commands.init import init
 from aerotube.commands.report import report
 from aerotube.commands.run import run
@@ -42,6 +43,7 @@ cli.command()(init)
 cli.command(epilog=EPILOG)(run)
 cli.command()(report)
 cli.command()(check)
+cli.command(epilog=EPILOG)(fly)
 cli.command(epilog=EPILOG)(study)
 
 
