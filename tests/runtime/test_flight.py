@@ -1,0 +1,233 @@
+"""Whole flights: the simulation's numbers, the log's, faults, and another's aircraft."""
+
+import json
+import socket
+import struct
+import threading
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from aerotube import flight
+from aerotube.cli import cli
+from aerotube.compensation import LinearLaw
+from aerotube.dynamics import ErrorCoordinates
+from aerotube.errors import InputError
+from aerotube.runtime import log
+from aerotube.runtime.commander import Source
+from aerotube.runtime.flight import Options, fly, make_estimator
+from aerotube.runtime.messages import Rung
+from aerotube.runtime.outcome import deadlines, errors_flown, summarise
+from aerotube.runtime.page import save
+from aerotube.runtime.plant import Actuators, Plant
+
+CALM = Options(speed=np.inf, link="thread", window=6, workers=1)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(prepared):
+    return fly(prepared, replace(CALM, duration=1.2, deviation="box", gusts="light"))
+
+
+def simulated(prepared, flown):
+    """The same draws through `flight.simulate`, with the laws of the first manoeuvre."""
+    law = LinearLaw(flown.record.gains[: prepared.nominal.beats], ErrorCoordinates())
+    return flight.simulate(
+        prepared.plant,
+        prepared.nominal,
+        law,
+        flown.world.draws,
+        noise=flown.world.noise,
+        estimator=make_estimator(prepared, flown.options),
+        gusts=flown.world.gusts,
+        substeps=flown.options.substeps,
+    )
+
+
+def test_an_undisturbed_flight_is_the_simulation(prepared, undisturbed):
+    found = simulated(prepared, undisturbed)
+    beats = prepared.nominal.beats
+    assert errors_flown(undisturbed) == pytest.approx(found.error, abs=1e-8)
+    assert undisturbed.record.command.reshape(2, beats, 4) == pytest.approx(found.control, abs=1e-9)
+    alone = flight.simulate(
+        prepared.plant, prepared.nominal, None, undisturbed.world.draws, gusts=undisturbed.world.gusts, substeps=5
+    )
+    assert undisturbed.alone == pytest.approx(alone.error, abs=1e-9)
+    assert not deadlines(undisturbed).missed.any()
+    assert set(undisturbed.record.fallbacks().values()) == {0}
+
+
+def test_with_the_estimator_too(prepared):
+    flown = fly(prepared, replace(CALM, estimator=True))
+    assert errors_flown(flown) == pytest.approx(simulated(prepared, flown).error, abs=1e-8)
+
+
+def test_the_summary_has_its_keys(undisturbed):
+    summary = summarise(undisturbed)
+    assert list(summary) == [
+        "beats",
+        "missed_deadlines",
+        "missed_unexplained",
+        "fallbacks",
+        "mae",
+        "rmse",
+        "latency_us",
+        "realtime_factor",
+    ]
+    assert summary["beats"] == 24
+    for key in ("mae", "rmse"):
+        assert 0 < summary[key]["compensated"] < summary[key]["none"]
+    assert set(summary["latency_us"]) == {"median", "p99"}
+    assert json.loads(json.dumps(summary)) == summary
+
+
+def test_a_log_flies_again_to_the_same_numbers(prepared, tmp_path):
+    options = replace(
+        CALM, estimator=True, replan=0.05, delay=1, actuators=True, gusts="moderate", deviation="box", duration=1.2
+    )
+    flown = fly(prepared, options)
+    summary = save(flown, tmp_path)
+    dataset = log.read(tmp_path / "flight.nc")
+    found = log.replay(dataset)
+    assert found["state"] == 0.0
+    assert found["command"] == 0.0
+    assert found["mae"] == summary["mae"]["compensated"]
+    assert summary == json.loads((tmp_path / "fly.json").read_text())
+    assert not np.allclose(flown.record.nominal_control, prepared.nominal.controls[0])
+    page = (tmp_path / "report.html").read_text()
+    assert "data:image/png" in page
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    other = dataset.copy(deep=True)
+    other["measured"].values[3, 0] += 1e-3
+    assert log.replay(other)["command"] > 0.0
+
+
+def test_faults_are_survived_logged_and_never_leave_the_limits(prepared):
+    options = replace(CALM, speed=12.0, duration=36.0, faults=300, deviation="box", seed=3)
+    flown = fly(prepared, options)
+    record, faults = flown.record, flown.faults
+    assert record.flown == 720
+    assert sum(faults.injected[kind] for kind in faults.injected if kind not in ("kill", "stall")) > 200
+    commands = record.command[np.isfinite(record.command[:, 0])]
+    assert (commands >= flown.world.aircraft.control_lower).all()
+    assert (commands <= flown.world.aircraft.control_upper).all()
+    assert flown.truth.illegal == 0
+    assert np.isfinite(flown.truth.states).all()
+    # no silent fallback: what took a measurement away shows in the beat's source, and nothing flies without a rung
+    for beat, kind in faults.by_beat.items():
+        if beat < record.flown and kind in ("drop", "delay", "corrupt", "nan"):
+            assert record.source[beat] != Source.MEASURED, (beat, kind)
+    reached = record.source >= 0
+    assert (record.rung[reached] >= 0).all()
+    alone = (record.rung == Rung.NOMINAL).all(axis=1) & reached
+    assert record.command[alone] == pytest.approx(record.nominal_control[alone])
+    assert record.refused["alien sender"] >= 0.5 * faults.injected["alien"]
+
+
+def speak(kind, sequence, beat, values, token=42):
+    """A datagram written by hand, as the interface's table says."""
+    body = struct.pack(f"<4sBBHQIId{len(values)}d", b"AERO", 1, kind, 0, token, sequence, beat, 0.0, *values)
+    return body + struct.pack("<I", zlib.crc32(body))
+
+
+def other_aircraft(port, states, heard):
+    """Somebody else's aircraft: it knows the table of the interface, and nothing of this package."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.settimeout(0.1)
+    home, sequence = ("127.0.0.1", port), 0
+
+    def ask(kind, beat, values):
+        nonlocal sequence
+        for _ in range(600):
+            sequence += 1
+            sock.sendto(speak(kind, sequence, beat, values), home)
+            try:
+                data = sock.recv(500)
+            except (TimeoutError, ConnectionError):
+                continue
+            if data[5] == (1 if kind == 1 else 3):
+                return data
+        raise AssertionError("the controller does not answer")
+
+    ask(1, 0, (0.05, float(len(states)), 13.0, 1e300))
+    stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    for beat, state in enumerate(states):
+        stranger.sendto(speak(2, 1, beat, (1.0,) * 16, token=43), home)
+        data = ask(2, beat, (*state, 0.0, 0.0, 0.0))
+        heard.append(struct.unpack_from("<4d", data, 32))
+    sock.close()
+    stranger.close()
+
+
+def test_anothers_aircraft_is_flown_over_udp(prepared):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    states = prepared.nominal.states[: prepared.nominal.beats].tolist()
+    heard: list[tuple[float, ...]] = []
+    other = threading.Thread(target=other_aircraft, args=(port, states, heard), daemon=True)
+    other.start()
+    flown = fly(prepared, replace(CALM, port=port))
+    other.join(20.0)
+    assert len(heard) == prepared.nominal.beats
+    # it flew exactly along the nominal: nothing to compensate
+    assert np.array(heard) == pytest.approx(prepared.nominal.controls, abs=1e-9)
+    assert flown.truth is None
+    assert summarise(flown)["mae"] == {"none": None, "compensated": None}
+
+
+def test_commands_come_late_by_whole_beats(prepared, undisturbed):
+    plant = Plant(replace(undisturbed.world, delay=2, noise=0.0, gusts=None))
+    sent = [prepared.nominal.controls[0] + [0.01 * k, 0.0, 0.0, 0.0] for k in range(5)]
+    for k in range(5):
+        plant.next_beat()
+        plant.command(sent[k])
+        plant.advance(k, 0)
+    flown = plant.flown[0, :5, 0]
+    assert flown[:2] == pytest.approx(prepared.nominal.controls[:2])
+    assert flown[2:] == pytest.approx(np.array(sent[:3]))
+
+
+def test_actuators_lag_and_keep_their_rates():
+    made = Actuators()
+    start, far = np.array([0.0, 0.5, 0.0, 0.0]), np.array([0.3, 1.0, 0.001, 0.0])
+    moved = made.move(start, far, 0.01)
+    assert moved[0] == pytest.approx(np.radians(60.0) * 0.01)
+    assert moved[1] == 1.0
+    assert moved[2] == pytest.approx(0.001 * (1.0 - np.exp(-0.202)))
+    for _ in range(1000):
+        moved = made.move(moved, far, 0.01)
+    assert moved == pytest.approx(far, abs=1e-9)
+
+
+def test_illegal_commands_are_not_flown(undisturbed):
+    plant = Plant(undisturbed.world)
+    for wrong in ((np.nan, 0.5, 0.0, 0.0), (0.0, 1.5, 0.0, 0.0), (9.0, 0.5, 0.0, 0.0)):
+        assert not plant.command(wrong)
+    assert plant.illegal == 3
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [({"speed": 0.0}, "speed"), ({"window": 5, "reuse": 1}, "window"), ({"faults": 5, "speed": np.inf}, "clock")],
+)
+def test_mistakes_are_told(wrong, words):
+    with pytest.raises(InputError, match=words):
+        Options(**wrong)
+
+
+def test_the_command_line_flies_and_replays(tmp_path):
+    scenario = tmp_path / "short.toml"
+    from aerotube.scenario import built_in_text
+
+    scenario.write_text(built_in_text().replace('horizon = "3 s"', 'horizon = "0.6 s"'))
+    out = tmp_path / "out"
+    run = CliRunner().invoke(cli, ["fly", str(scenario), "--speed", "inf", "--out", str(out), "--udp"])
+    assert run.exit_code == 0, run.output
+    assert {path.name for path in out.iterdir()} == {"flight.nc", "fly.json", "figures", "report.html"}
+    again = CliRunner().invoke(cli, ["fly", "--replay", str(out / "flight.nc")])
+    assert again.exit_code == 0, again.output
+    assert "same numbers" in again.output
