@@ -11,6 +11,7 @@ import typer
 from aerotube import __version__
 from aerotube.commands.check import check
 from aerotube.commands.common import EPILOG, FAILED, FINE, INTERRUPTED, MISTAKE, Interrupted
+from aerotube.commands.falsify import falsify
 from aerotube.commands.fly import fly
 from aerotube.commands.init import init
 from aerotube.commands.report import report
@@ -43,8 +44,9 @@ cli.command()(init)
 cli.command(epilog=EPILOG)(run)
 cli.command()(report)
 cli.command()(check)
-cli.command(epilog=EPILOG)(fly)
 cli.command(epilog=EPILOG)(study)
+cli.command(epilog=EPILOG)(fly)
+cli.command(epilog=EPILOG)(falsify)
 
 
 def app(arguments: Sequence[str] | None = None) -> NoReturn:

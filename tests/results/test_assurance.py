@@ -70,7 +70,7 @@ def test_the_report_shows_both(assured, tmp_path):
     report.write(results.build(assured), tmp_path)
     assert {"margins", "containment"} <= {path.stem for path in (tmp_path / "figures").iterdir()}
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert f"{VIOLATED} (2.5)" in page
+    assert f'<td class="n">{VIOLATED}</td><td class="n">2.5</td>' in page
     assert "1 beats have a frozen loop" in page
 
 

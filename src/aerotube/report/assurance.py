@@ -171,32 +171,31 @@ def containment_html(summary: Mapping[str, Any]) -> str:
     counted = summary["containment"]
     if not counted:
         return ""
-    head, rows = "", []
+    rows = []
     for condition, found in counted.items():
         share = 100.0 * (1.0 - found["started_inside"] / max(found["beats"], 1))
         reasons = ", ".join(f"{reason} {count}" for reason, count in found["outside"].items() if count) or "none"
-        head = "".join(f'<th class="n">{escape(_pair_words(name))}</th>' for name in found["violations"])
-        cells = "".join(
-            f'<td class="n">{count}{_worst_words(found["worst"][name])}</td>'
-            for name, count in found["violations"].items()
+        first = (
+            f'<td class="w">{escape(CONDITION_WORDS[condition])}</td><td class="n">{found["beats"]}</td>'
+            f'<td class="n">{share:.1f} %</td><td>{escape(reasons)}</td>'
         )
-        rows.append(
-            f'<tr><td class="w">{escape(CONDITION_WORDS[condition])}</td><td class="n">{found["beats"]}</td>'
-            f'<td class="n">{share:.1f} %</td><td>{escape(reasons)}</td>{cells}</tr>'
-        )
+        for name, count in found["violations"].items():
+            worst = found["worst"][name]
+            rows.append(
+                f'<tr>{first}<td class="w">{escape(_pair_words(name))}</td><td class="n">{count}</td>'
+                f'<td class="n">{"–" if worst is None else f"{worst:.3g}"}</td></tr>'
+            )
+            first = "<td></td>" * 4
     return (
         "<p>Of the beats of all runs that start inside every set of their tubes (errors of all parts, measurement "
         "error, wind, parameters), those that end outside the tube are violations: tubes that are sampled or rigorous "
-        "must have none. What starts outside is promised nothing. In brackets, the largest size over the tube's.</p>"
+        "must have none. What starts outside is promised nothing.</p>"
         '<div class="scroll"><table><tr><th>condition</th><th class="n">beats flown</th>'
-        f'<th class="n">started outside</th><th>because of</th>{head}</tr>{"".join(rows)}</table></div>'
+        '<th class="n">started outside</th><th>because of</th><th>tube</th><th class="n">violations</th>'
+        f'<th class="n">largest size over the tube\'s</th></tr>{"".join(rows)}</table></div>'
     )
 
 
 def _pair_words(name: str) -> str:
     part, form = name.split(", ")
-    return f"violations: {part}, {_FORM_WORDS[form]}"
-
-
-def _worst_words(worst: float | None) -> str:
-    return "" if worst is None else f" ({worst:.3g})"
+    return f"{part}, {_FORM_WORDS[form]}"

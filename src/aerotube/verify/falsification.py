@@ -20,12 +20,15 @@ from aerotube.compensation import Compensation, Tubes
 from aerotube.errors import InputError
 from aerotube.flight import FORMS
 from aerotube.nominal import Nominal
-from aerotube.tube import DisturbanceBox, ellipsoid, parameter_ranges
+from aerotube.tube import DisturbanceSet, ellipsoid, parameter_ranges
 from aerotube.verify.adversity import ERRORS, WIND, Adversity, BeatSpace
 from aerotube.verify.search import WorstPoints
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
+
+#: Certificates that promise something of the true map over a tube's whole set.
+PROMISING = ("sampled", "rigorous")
 
 #: Beyond this ratio a tube is broken; the rest is rounding.
 TOLERANCE = 1e-9
@@ -75,7 +78,7 @@ class Falsification:
 def falsify(
     aircraft: Aircraft,
     nominal: Nominal,
-    disturbance: DisturbanceBox,
+    disturbance: DisturbanceSet,
     made: Compensation,
     *,
     adversity: Adversity | None = None,
@@ -94,7 +97,7 @@ def falsify(
     aircraft : Aircraft
         The one that flies.
     nominal : Nominal
-    disturbance : DisturbanceBox
+    disturbance : DisturbanceSet
         Its uncertain parameters; the errors at the start are those of the tubes' initial ellipsoids.
     made : Compensation
         Or anything with its ``law`` and ``tubes``.
@@ -128,7 +131,6 @@ def falsify(
     for beat in chosen:
         if not 0 <= beat < nominal.beats:
             raise InputError(f"falsify: there is no beat {beat}; the nominal has beats 0 to {nominal.beats - 1}.")
-    adversity = claimed(made.tubes) if adversity is None else adversity
     ranges = parameter_ranges(aircraft, disturbance.relative)
     counts = (nominal.beats, len(made.tubes.parts), len(FORMS))
     found = Falsification(
@@ -142,10 +144,14 @@ def falsify(
         seed=seed,
     )
     forms = _forms(made.tubes)
+    promised = claims_of(made, nominal, disturbance)
+    task = (aircraft, nominal, made, ranges)
 
     def attack(beat: int) -> None:
         generator = np.random.default_rng([seed, beat])
-        for group, space in _spaces(aircraft, nominal, made, beat, ranges, adversity):
+        claims = promised[beat] if adversity is None else [(list(range(counts[1])), adversity)]
+        spaces = [space for group, each in claims for space in _spaces(task, beat, group, each)]
+        for group, space in spaces:
             pairs = [(i, k) for i in group for k in range(len(FORMS))]
             targets = [(i, k) for i, k in pairs if np.isfinite(forms[i][k][beat]).all()]
             if not targets:
@@ -164,9 +170,31 @@ def falsify(
     return replace(found, interrupted=interrupted)
 
 
-def claimed(tubes: Tubes) -> Adversity:
-    """What tubes say they withstand besides the errors of their own part and the parameters."""
-    return Adversity()
+def kinds(tubes: Tubes) -> NDArray[np.str_]:
+    """What stands behind each tube: ndarray (T, parts) of str."""
+    return np.broadcast_to(np.asarray(tubes.certificate, dtype=str), tubes.size.shape)
+
+
+def claims_of(
+    made: Compensation, nominal: Nominal, disturbance: DisturbanceSet
+) -> list[list[tuple[list[int], Adversity]]]:
+    """What the tubes of each beat say they withstand: parts, and their adversity.
+
+    Those that are sampled or rigorous withstand the errors of all parts, and the measurement errors and gusts that
+    were asked of them; others their own errors alone, measured exactly, in still air.
+    """
+    settings, states = made.settings, nominal.states[:-1]
+    measurement = np.zeros((len(states), ERRORS))
+    if settings.measurement_error > 0:
+        widths = settings.measurement_error * disturbance.half_widths
+        measurement = made.law.coordinates.box(states, widths)
+    wind = np.repeat([settings.gust, settings.gust_rotation], 3)
+    whole, alone = Adversity(1.0, measurement, wind), Adversity()
+    out = []
+    for row in np.isin(kinds(made.tubes), PROMISING):
+        groups = ((np.flatnonzero(row), whole), (np.flatnonzero(~row), alone))
+        out.append([([int(i) for i in group], each) for group, each in groups if len(group)])
+    return out
 
 
 def _forms(tubes: Tubes) -> list[list[Array]]:
@@ -176,9 +204,10 @@ def _forms(tubes: Tubes) -> list[list[Array]]:
 
 
 def _spaces(
-    aircraft: Aircraft, nominal: Nominal, made: Compensation, beat: int, ranges: Array, adversity: Adversity
+    task: tuple[Aircraft, Nominal, Compensation, Array], beat: int, parts: list[int], adversity: Adversity
 ) -> list[tuple[list[int], BeatSpace]]:
     """Sets of a beat, with the parts whose tubes each is for: one for all, if each withstands the others' errors."""
+    aircraft, nominal, made, ranges = task
     tubes = made.tubes
     balls = [
         (part.errors, ellipsoid.whitening(tubes.initial_shape[beat, i], tubes.initial_rho[beat, i]))
@@ -190,9 +219,9 @@ def _spaces(
         return BeatSpace(aircraft, nominal, made.law, beat, chosen, ranges, measurement, wind)
 
     if adversity.others == 1.0 or len(balls) == 1:
-        return [(list(range(len(balls))), space(balls))]
+        return [(parts, space(balls))]
     spaces = []
-    for i in range(len(balls)):
+    for i in parts:
         shares = [1.0 if i == j else adversity.others for j in range(len(balls))]
         chosen = [(indices, share * map_) for (indices, map_), share in zip(balls, shares, strict=True) if share > 0]
         spaces.append(([i], space(chosen)))
