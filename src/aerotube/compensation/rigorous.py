@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,9 +111,8 @@ def _terminal(
     kept = (enclosure.degree(part.name, *parameters) == degrees) & (own <= degree // 2)
     for name in parameters:
         kept &= enclosure.degree(name) <= 1
-    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * len(parameters), indexing="ij")).reshape(len(parameters), -1).T
-    corners = corners.reshape(-1, len(parameters))
-    points = np.zeros((max(len(corners), 1), len(nodes), space.taylor.variables))
+    corners = np.array(list(product((-1.0, 1.0), repeat=len(parameters))))
+    points = np.zeros((len(corners), len(nodes), space.taylor.variables))
     points[..., enclosure.set.columns(part.name)] = nodes
     for column, name in enumerate(parameters):
         points[..., enclosure.set.columns(name)] = corners[:, None, column, None]
