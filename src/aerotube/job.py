@@ -230,14 +230,15 @@ class _Flights:
         if trace is None:
             return None
         prepared, made = self.prepared, self.laws[self.setting(condition)]
-        share = made.settings.measurement_error
-        states = prepared.nominal.states[:-1]
+        settings, states = made.settings, prepared.nominal.states[:-1]
+        largest = settings.measurement_error * prepared.disturbance.half_widths
         return flight.containment(
             trace,
             prepared.draws.parameters,
             made.tubes,
             parameter_ranges(prepared.plant, prepared.disturbance.relative),
-            measurement=share * made.law.coordinates.box(states, prepared.disturbance.half_widths),
+            measurement=made.law.coordinates.box(states, largest) if largest.any() else None,
+            wind=np.repeat([settings.gust, settings.gust_rotation], 3),
         )
 
     def _law(self, controller: str, condition: str, noise: float, estimator: Any) -> tuple[Any, str]:

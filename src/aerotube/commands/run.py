@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -95,7 +96,44 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
             f"{solve['median']:.1f} ms (median), {solve['p99']:.1f} ms (99th percentile)",
             soft_wrap=True,
         )
+    for line in (*_margin_lines(summary), *_containment_lines(summary)):
+        console.print(line, soft_wrap=True)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+
+
+def _margin_lines(summary: dict[str, Any]) -> Iterator[str]:
+    """The worst margins of every law over the beats, in words."""
+    from aerotube.report.assurance import delay_words, gain_words
+
+    for law, facts in summary["laws"].items():
+        margins = facts["margins"]
+        words = f"{law.replace('_', '-')} law, worst margins of the frozen loops: "
+        if margins is None:
+            continue
+        if margins["all"] is None:
+            yield words + "none, as no loop is stable by itself"
+            continue
+        single = {name: worst for name, worst in margins.items() if isinstance(worst, dict) and name != "all"}
+        name = min(single, key=lambda control: single[control]["disk"])
+        told = (f"{name} alone", single[name]), ("all controls at once", margins["all"])
+        words += "; ".join(
+            f"{which} gain {gain_words(worst['gain_db'])}, phase ±{worst['phase_deg']:.0f}° (beat {worst['at_beat']}), "
+            f"delay {delay_words(worst)}"
+            for which, worst in told
+        )
+        unstable = margins["unstable_beats"]
+        yield words + (f"; {unstable} beats not stable by themselves" if unstable else "")
+
+
+def _containment_lines(summary: dict[str, Any]) -> Iterator[str]:
+    """How flights kept to their tubes, in words."""
+    for condition, found in summary["containment"].items():
+        beats, inside = found["beats"], found["started_inside"]
+        violations = ", ".join(f"{name} {count}" for name, count in found["violations"].items() if count) or "none"
+        yield (
+            f"{condition}: {100.0 * inside / max(beats, 1):.1f} % of {beats} beats started inside the sets of their "
+            f"tubes; of these left their tube: {violations}"
+        )
 
 
 def _spread(value: dict[str, float | None], factor: float, digits: int) -> str:

@@ -51,7 +51,7 @@ def tightness_figure(attacks: Mapping[str, Attack]) -> Figure:
             if finite.size and finite.max() > 3.0:
                 axes.set_yscale("log")
             else:
-                axes.set_ylim(0.0, max(1.1, 1.05 * finite.max(initial=1.0)))
+                axes.set_ylim(0.95 * finite.min(initial=1.0), 1.03 * finite.max(initial=1.0))
             tidy(axes, "worst found / bound", time=False)
             axes.set_xlabel("beat", fontsize=9)
     handles, labels = axes.get_legend_handles_labels()
