@@ -29,10 +29,10 @@ EVERYTHING = Adversity(1.0, BOX.half_widths, np.array([2.0, 2.0, 2.0, 0.01, 0.01
 
 
 def test_the_search_comes_close_to_the_bound(made):
-    """Tubes in the synthesis's metric are tight: the worst found is within a few percent of the bound."""
-    found = search(made, adversity=ALONE).ratio[..., SIZE]
-    assert (found > 0.98).all()
-    assert (found < 1.05).all()
+    """Against everything that it promises to withstand, the worst found is within a few percent of a tube."""
+    found = search(made)
+    assert (found.ratio > 0.9).all()
+    assert not found.broken.any()
 
 
 @pytest.mark.parametrize("adversity", [ALONE, Adversity(0.5), EVERYTHING], ids=["alone", "others", "everything"])
