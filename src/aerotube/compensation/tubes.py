@@ -220,7 +220,8 @@ def certified_size(
     Returns
     -------
     ndarray (b, parts)
-        NaN where no size could be certified. The other arguments are those of :func:`measure`.
+        For the polynomial only; NaN where no size could be certified. The other arguments are those of
+        :func:`measure`.
     """
     chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
     coordinates = ErrorCoordinates(settings.attitude) if law is None else law.coordinates

@@ -69,6 +69,7 @@ def timeline_figure(dataset: xr.Dataset) -> Figure:
     _latencies(figure.add_subplot(grid[2]), dataset, due, count)
     for axes in figure.axes:
         axes.set_xlim(*span)
+        axes.set_axisbelow(True)
     return figure
 
 

@@ -10,7 +10,9 @@ flown. The same measurement decides what else may be flown there:
   certified size on the new nominal is at most a stated factor of its size where it was made, in the same metric, and
   it keeps the controls within their limits there. Then nothing is designed anew (event-triggered recomputation).
 
-Sizes are those of :func:`aerotube.compensation.certified_size`, and worth what it says.
+Sizes are those of :func:`aerotube.compensation.certified_size`: certified in flight, for the polynomial through the
+closed loop at the nodes ("polynomial only"). Sampled and rigorous certificates take longer than a flight has; `aerotube
+run` gives them for the same laws.
 """
 
 from __future__ import annotations
