@@ -17,6 +17,7 @@ from aerotube.commands.init import init
 from aerotube.commands.report import report
 from aerotube.commands.run import run
 from aerotube.commands.study import study
+from aerotube.commands.tube import tube
 from aerotube.errors import ComputationError, InputError
 
 cli = typer.Typer(
@@ -42,6 +43,7 @@ def _main(
 
 cli.command()(init)
 cli.command(epilog=EPILOG)(run)
+cli.command(epilog=EPILOG)(tube)
 cli.command()(report)
 cli.command()(check)
 cli.command(epilog=EPILOG)(study)

@@ -13,7 +13,7 @@ from aerotube.compensation import exact_map
 from aerotube.compensation.closed_loop import end_errors
 from aerotube.compensation.exact_design import design_groups
 from aerotube.compensation.groundwork import available_increments as available_increments
-from aerotube.compensation.groundwork import groundwork, taken
+from aerotube.compensation.groundwork import Groundwork, groundwork, taken
 from aerotube.compensation.increment_design import design_increments
 from aerotube.compensation.law import LinearLaw, PolynomialLaw, assembled
 from aerotube.compensation.settings import SynthesisSettings
@@ -89,6 +89,7 @@ def design(
     workers: int = 1,
     deadline: float | None = None,
     progress: Progress | None = None,
+    ground: Groundwork | None = None,
 ) -> Design:
     """Compute compensation laws for beats of a nominal trajectory.
 
@@ -109,6 +110,8 @@ def design(
         Seconds allowed for each program; see ``stopped`` of :class:`Design`.
     progress : callable, optional
         Called with the number of programs solved and their total.
+    ground : Groundwork, optional
+        What the programs rest on, where it is already there.
 
     Returns
     -------
@@ -123,7 +126,7 @@ def design(
     """
     settings = settings or SynthesisSettings()
     chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
-    ground = groundwork(aircraft, nominal, disturbance, settings)
+    ground = groundwork(aircraft, nominal, disturbance, settings) if ground is None else ground
     task = Task(aircraft, nominal, disturbance, settings, ground, workers, deadline)
     groups = _groups(chosen, nominal.beats, settings.reuse + 1)
     total = len(settings.parts) * sum(len(rows) for rows in groups)
