@@ -215,6 +215,17 @@ def test_threads_do_not_change_the_numbers(tube):
         np.testing.assert_array_equal(one.values[k], sos.solve(tube, data).values)
 
 
+def test_threads_over_constraints_do_not_change_the_numbers(monkeypatch):
+    monkeypatch.setattr(interior, "_LARGE", 1)
+    structure = tube_program(extremes=3)
+    data = tube_data(structure, 1)
+    one, three = sos.solve(structure, data), sos.solve(structure, data, threads=3)
+    np.testing.assert_array_equal(one.values, three.values)
+    assert one.iterations == three.iterations
+    late = sos.solve(structure, data, threads=2, deadline=1e-9)
+    assert late.status == Status.DEADLINE
+
+
 @pytest.mark.slow
 def test_eight_states():
     structure = tube_program(states=8, inputs=4)

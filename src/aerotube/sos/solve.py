@@ -24,6 +24,7 @@ def solve(
     *,
     deadline: float | None = None,
     workers: int = 1,
+    threads: int = 1,
     tolerance: float = 1e-7,
     iterations: int = 100,
 ) -> Solution:
@@ -40,6 +41,9 @@ def solve(
         Seconds allowed for each program.
     workers : int
         Threads over the batch.
+    threads : int
+        Threads over the constraints of each program, where they are large (``"aerotube"`` only). The numbers do not
+        depend on it.
     tolerance : float
         Relative gap asked for; feasibility is asked to a tenth of it.
     iterations : int
@@ -61,14 +65,20 @@ def solve(
         raise ValueError(f"there is no backend '{backend}'; choose one of {BACKENDS}.")
     if deadline is not None and not deadline > 0.0:
         raise ValueError(f"the deadline must be positive, got {deadline} s.")
-    if workers < 1:
-        raise ValueError(f"workers must be at least 1, got {workers}.")
+    if workers < 1 or threads < 1:
+        raise ValueError(f"workers and threads must be at least 1, got {workers} and {threads}.")
     seconds = np.inf if deadline is None else deadline
     if backend == "aerotube":
         from aerotube.sos.backends import interior
 
         found = interior.solve(
-            structure, data, tolerance=tolerance, seconds=seconds, iterations=iterations, workers=workers
+            structure,
+            data,
+            tolerance=tolerance,
+            seconds=seconds,
+            iterations=iterations,
+            workers=workers,
+            threads=threads,
         )
         return Solution(structure, data, objective=objectives(data, found["values"]), backend=backend, **found)
     from aerotube.sos.backends import clarabel

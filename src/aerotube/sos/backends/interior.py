@@ -15,11 +15,14 @@ from aerotube.sos.domain import Array
 from aerotube.sos.interior import run
 from aerotube.sos.interior.layout import (
     FIRST,
+    KIND,
     LAST,
     MATRICES,
     MATRIX,
     ORDER,
     ROWS,
+    SOS,
+    SPACE,
     VECTOR,
     VECTORS,
     Layout,
@@ -33,6 +36,8 @@ from aerotube.sos.solution import Status
 
 _STATUS = {-1: Status.TROUBLE, 0: Status.OPTIMAL, 2: Status.INFEASIBLE, 3: Status.UNBOUNDED, 4: Status.TROUBLE}
 _PRIMAL, _DUAL, _GAP = 0, 1, 2
+_LARGE = 150
+"""Nodes of a constraint that is worth handing to another thread."""
 _rooms: dict[tuple[Structure, int], list[State]] = {}
 _lock = threading.Lock()
 
@@ -54,8 +59,55 @@ def _room(structure: Structure, lay: Layout) -> Iterator[State]:
                 free.append(state)
 
 
+class _Together:
+    """Threads that reduce the sampled constraints of one program at the same time.
+
+    Most of an iteration goes into that where constraints are large; what one constraint's reduction yields does not
+    depend on the others, so that the numbers are the same for any number of threads.
+    """
+
+    def __init__(self, lay: Layout, threads: int) -> None:
+        sampled = np.flatnonzero(lay.con[KIND] == SOS)
+        # The slowest first.
+        self._order = [int(i) for i in sampled[np.argsort(-lay.con[ROWS, sampled], kind="stable")]]
+        self._rooms = [np.empty(int(lay.at[SPACE])) for _ in range(min(threads, len(self._order)))]
+        self._pool = ThreadPoolExecutor(max(1, len(self._rooms) - 1))
+
+    @staticmethod
+    def pays(lay: Layout) -> bool:
+        """Whether two constraints at least are large enough to be worth handing over."""
+        return int(np.sum((lay.con[KIND] == SOS) & (lay.con[ROWS] >= _LARGE))) > 1
+
+    def proceed(self, lay: Layout, state: State, feasibility: float, optimality: float, limit: int) -> bool:
+        """Take one iteration, as `run.proceed`."""
+        if run.open_step(lay, state, feasibility, optimality):
+            waiting = iter(self._order)
+
+            def work(room: Array) -> None:
+                # The iterator's next is one step of the interpreter, so that no two threads get the same constraint.
+                for i in waiting:
+                    run.reduce_one(lay, state, i, room)
+
+            others = [self._pool.submit(work, room) for room in self._rooms[1:]]
+            work(self._rooms[0])
+            for other in others:
+                other.result()
+        return bool(run.close_step(lay, state, optimality, limit))
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown()
+
+
 def _solve_one(
-    structure: Structure, lay: Layout, flat: Array, out: Array, tolerance: float, seconds: float, iterations: int
+    structure: Structure,
+    lay: Layout,
+    flat: Array,
+    out: Array,
+    tolerance: float,
+    seconds: float,
+    iterations: int,
+    together: _Together | None = None,
 ) -> tuple[float, bool]:
     """Solve one program into `out`; return the seconds taken and whether the deadline stopped it."""
     start = time.perf_counter()
@@ -67,7 +119,11 @@ def _solve_one(
         # longest so far.
         budget = iterations if np.isinf(seconds) else 1
         longest, before = 0.0, time.perf_counter()
-        while not run.proceed(lay, state, feasibility, tolerance, iterations, budget):
+        while not (
+            run.proceed(lay, state, feasibility, tolerance, iterations, budget)
+            if together is None
+            else together.proceed(lay, state, feasibility, tolerance, iterations)
+        ):
             now = time.perf_counter()
             longest, before = max(longest, now - before), now
             if now - start + longest > seconds:
@@ -78,7 +134,7 @@ def _solve_one(
 
 
 def solve(
-    structure: Structure, data: Data, *, tolerance: float, seconds: float, iterations: int, workers: int
+    structure: Structure, data: Data, *, tolerance: float, seconds: float, iterations: int, workers: int, threads: int
 ) -> dict[str, Any]:
     """Solve a batch; fields of `aerotube.sos.Solution` by name.
 
@@ -93,6 +149,8 @@ def solve(
         Iterations allowed for each variant of the method.
     workers : int
         Threads over the batch.
+    threads : int
+        Threads over the constraints of each program.
     """
     lay = layout(structure)
     flat = flatten(data, lay)
@@ -102,13 +160,22 @@ def solve(
     taken, late = np.zeros(count), np.zeros(count, dtype=bool)
 
     def work(k: int) -> None:
-        taken[k], late[k] = _solve_one(structure, lay, flat[k], out[k], tolerance, seconds, iterations)
+        together = _Together(lay, threads) if threads > 1 and _Together.pays(lay) else None
+        try:
+            taken[k], late[k] = _solve_one(structure, lay, flat[k], out[k], tolerance, seconds, iterations, together)
+        finally:
+            if together is not None:
+                together.close()
 
     # BLAS threads would fight with one another and with ours; one solve keeps to one core.
     with _single_threaded_blas:
         if count and not run.finish.nopython_signatures:
             # Compiling, or loading what was compiled, is no part of a solve's time, nor of its deadline.
             _solve_one(structure, lay, flat[0], out[0], tolerance, np.inf, 1)
+        if count and threads > 1 and _Together.pays(lay) and not run.close_step.nopython_signatures:
+            first = _Together(lay, threads)
+            _solve_one(structure, lay, flat[0], out[0], tolerance, np.inf, 1, first)
+            first.close()
         if workers == 1 or count == 1:
             for k in range(count):
                 work(k)

@@ -32,6 +32,9 @@ _dtrsm = _bind("cython_blas", "dtrsm", 11)
 _dtrsv = _bind("cython_blas", "dtrsv", 8)
 _dpotrf = _bind("cython_lapack", "dpotrf", 5)
 
+BLOCK = 64
+"""Columns that are factored at a time."""
+
 _U, _L, _N, _T, _R = (np.uint8(ord(letter)) for letter in "ULNTR")
 
 
@@ -136,6 +139,47 @@ def cholesky(a):  # type: ignore[no-untyped-def]
     result[0] = info
     _dpotrf(_ref(_U), _ref(n), _data(a), _ref(n), _data(result))
     return result[0] == 0
+
+
+@inner
+def factor_beside(a, beside):  # type: ignore[no-untyped-def]
+    """Overwrite the lower triangle of a (n, n) by its factor L and beside (k, n) by beside L^-T; False if that fails.
+
+    Block column by block column, so that nearly all is done by matrix products, which are the fastest.
+    """
+    keep_apart()
+    n, k, one, minus = a.shape[0], np.int32(beside.shape[0]), 1.0, -1.0
+    wide, info = np.int32(n), np.empty(1, np.int32)
+    flat, other = a.reshape(n * n), beside.reshape(beside.shape[0] * n)
+    for j in range(0, n, BLOCK):
+        order = np.int32(min(BLOCK, n - j))
+        before, left = np.int32(j), np.int32(n - j)
+        below = np.int32(n - j - order)
+        corner = flat[j * n + j :]
+        if j > 0:
+            across = flat[j * n :]
+            _dgemm(
+                _ref(_T), _ref(_N), _ref(order), _ref(left), _ref(before), _ref(minus), _data(across), _ref(wide),
+                _data(across), _ref(wide), _ref(one), _data(corner), _ref(wide),
+            )  # fmt: skip
+            _dgemm(
+                _ref(_T), _ref(_N), _ref(order), _ref(k), _ref(before), _ref(minus), _data(across), _ref(wide),
+                _data(other), _ref(wide), _ref(one), _data(other[j:]), _ref(wide),
+            )  # fmt: skip
+        info[0] = 0
+        _dpotrf(_ref(_U), _ref(order), _data(corner), _ref(wide), _data(info))
+        if info[0] != 0:
+            return False
+        if below > 0:
+            _dtrsm(
+                _ref(_L), _ref(_U), _ref(_T), _ref(_N), _ref(order), _ref(below), _ref(one), _data(corner), _ref(wide),
+                _data(flat[(j + order) * n + j :]), _ref(wide),
+            )  # fmt: skip
+        _dtrsm(
+            _ref(_L), _ref(_U), _ref(_T), _ref(_N), _ref(order), _ref(k), _ref(one), _data(corner), _ref(wide),
+            _data(other[j:]), _ref(wide),
+        )  # fmt: skip
+    return True
 
 
 @inner

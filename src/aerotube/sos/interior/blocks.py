@@ -72,32 +72,35 @@ def factor_pair(Q, Z, LQ, LZ, inverse, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def add_schur(p, g, pq, LZ, begin, K1, K2, M, tall, k2):  # type: ignore[no-untyped-def]
+def add_schur(p, g, pq, LZ, begin, M, K1, K2, tall, k2):  # type: ignore[no-untyped-def]
     """Add (or, at `begin`, set) a block's Schur complement in the lower triangle of M; pq is P L_Q.
 
-    Also adds to k2 the values of g p'Z^-1 p.
+    Also adds to k2 the values of g p'Z^-1 p. K1, K2 (U, U) and tall (U, N) are scratch.
     """
     keep_apart()
     rows = p.shape[0]
-    plain = g.shape[0] == 0
-    blas.gram_lower(pq, K1, 0.0)
     small.copy_matrix(p, tall)
     blas.divide_by_factor(LZ, tall)
-    blas.gram_lower(tall, K2, 0.0)
     for u in range(rows):
-        k2[u] += K2[u, u] if plain else g[u] * K2[u, u]
-        if plain and begin:
+        total = 0.0
+        for k in range(tall.shape[1]):
+            total += tall[u, k] * tall[u, k]
+        weight = 1.0 if g.shape[0] == 0 else g[u]
+        k2[u] += weight * total
+        if g.shape[0] > 0:
+            for k in range(tall.shape[1]):
+                tall[u, k] *= weight
+    blas.gram_lower(tall, K2, 0.0)
+    if begin:
+        blas.gram_lower(pq, M, 0.0)
+        for u in range(rows):
             for v in range(u + 1):
-                M[u, v] = K1[u, v] * K2[u, v]
-        elif plain:
+                M[u, v] *= K2[u, v]
+    else:
+        blas.gram_lower(pq, K1, 0.0)
+        for u in range(rows):
             for v in range(u + 1):
                 M[u, v] += K1[u, v] * K2[u, v]
-        elif begin:
-            for v in range(u + 1):
-                M[u, v] = g[u] * g[v] * K1[u, v] * K2[u, v]
-        else:
-            for v in range(u + 1):
-                M[u, v] += g[u] * g[v] * K1[u, v] * K2[u, v]
 
 
 @inner

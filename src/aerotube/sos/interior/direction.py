@@ -124,7 +124,8 @@ def sampled_side(lay, st, i, center, eta, second):  # type: ignore[no-untyped-de
                     rows_of(lay, b), weights_of(lay, b), block(lay, st, DZ, b), 1.0, a, tall_of(lay, st, TALL, b)
                 )
         blas.solve_lower_vector(factor_of(lay, st, i), a)
-    blas.times_vector(compact(lay, st, V, i), gather(lay, st, i, D, numbers(lay, st)[TAU]), a, -1.0, 1.0)
+    known = gather(lay, st, i, D, numbers(lay, st)[TAU])
+    blas.transposed_times_vector(compact(lay, st, V, i), known, a, -1.0, 1.0)
 
 
 @inner
@@ -194,6 +195,16 @@ def eliminate(lay, st, eta, tau_side):  # type: ignore[no-untyped-def]
 
 
 @inner
+def subtract_scaled(lay, st, i, dtau, out):  # type: ignore[no-untyped-def]
+    """Subtract from out V_i (dd, dtau)."""
+    scaled, known = compact(lay, st, V, i), gather(lay, st, i, DD, dtau)
+    if lay.con[KIND, i] == SOS:
+        blas.transposed_times_vector(scaled, known, out, -1.0, 1.0)
+    else:
+        blas.times_vector(scaled, known, out, -1.0, 1.0)
+
+
+@inner
 def recover_vectors(lay, st, i, dtau, eta):  # type: ignore[no-untyped-def]
     """Directions of constraint i's multiplier and slack from dd and dtau (dZ for a matrix inequality)."""
     keep_apart()
@@ -202,7 +213,7 @@ def recover_vectors(lay, st, i, dtau, eta):  # type: ignore[no-untyped-def]
         values(lay, st, DD, dtau, i, entries(lay, st, DZ, lay.con[FIRST, i]))
         return
     a, dy, root = part(lay, st, A, i), part(lay, st, DY, i), part(lay, st, ROOT, i)
-    blas.times_vector(compact(lay, st, V, i), gather(lay, st, i, DD, dtau), a, -1.0, 1.0)
+    subtract_scaled(lay, st, i, dtau, a)
     if kind == SOS:
         small.copy(a, dy)
         blas.solve_upper_vector(factor_of(lay, st, i), dy)
@@ -316,7 +327,7 @@ def refine_part(lay, st, i):  # type: ignore[no-untyped-def]
         values(lay, st, DD, zero, i, entries(lay, st, T, lay.con[FIRST, i]))
     else:
         a, dy, root = part(lay, st, A, i), part(lay, st, DY, i), part(lay, st, ROOT, i)
-        blas.times_vector(compact(lay, st, V, i), gather(lay, st, i, DD, zero), a, -1.0, 1.0)
+        subtract_scaled(lay, st, i, zero, a)
         if kind == SOS:
             blas.solve_upper_vector(factor_of(lay, st, i), a)
             small.add(dy, 1.0, a)

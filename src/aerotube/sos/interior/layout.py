@@ -36,11 +36,11 @@ Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y, KEPT_DY, KEPT_DS, SURE_Y = np.ar
 # Decision storages, (m + 1) entries.
 D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D, KEPT_DD, SURE_D = np.arange(29, 39)
 # The rest: data, factors, scratch.
-G, V, FACTOR, SQUARE, SQUARE2, TALL, TALLQ, SCRATCH, SHORT = np.arange(39, 48)
-SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = np.arange(48, 54)
+G, V, FACTOR, ROOM, TALL, TALLQ, SCRATCH, SHORT = np.arange(39, 47)
+SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = np.arange(47, 53)
 # Sizes.
-M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, NODES, FLATS = np.arange(54, 62)
-_COUNT = 62
+M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, SPACE, FLATS = np.arange(53, 61)
+_COUNT = 61
 
 
 class Layout(NamedTuple):
@@ -50,14 +50,14 @@ class Layout(NamedTuple):
     ----------
     con : (11, constraints)
         Kind; rows (U, order, 1 + k, rows); offset in vector storage; first and last + 1 block; offset of its data
-        (rows x width, or width x k^2); offset of its Schur factor; offset in a program's flat data; first row scale
-        (one for all rows, but one for each linear row); places in `numbers` of its log-determinant factor and of the
-        norm of the map from values at the nodes to the least changes of Gram matrices that make them.
+        (width x U, width x k^2, or rows x width); offset of its Schur factor; offset in a program's flat data; first
+        row scale (one for all rows, but one for each linear row); places in `numbers` of its log-determinant factor
+        and of the norm of the map from values at the nodes to the least changes of Gram matrices that make them.
     blk : (5, blocks)
         Order N; offset in matrix storage; places of P (U x N) and g (U, or -1 for 1) in `numbers`; its constraint.
     numbers : (...)
         Bases, weights, starting functionals (vector storage), norms of changes, log-determinant factors.
-    at : (62,)
+    at : (61,)
         Offset of each storage in the heap, and the sizes.
     """
 
@@ -68,7 +68,7 @@ class Layout(NamedTuple):
 
 
 class State(NamedTuple):
-    """The memory of one solve: numbers, and integers (status, iterations, variant, stalls, widths, active columns)."""
+    """The memory of one solve: numbers, and integers (status and counts, widths, active columns, failures)."""
 
     heap: Array
     ints: Ints
@@ -119,20 +119,21 @@ def layout(structure: Structure) -> Layout:
     con[TARGET] = con[FOLD] + len(constraints)
     folds = np.array([_fold(c) if c.kind == "sos" else 0.0 for c in constraints])
     targets = np.array([c.factor for c in constraints])
+    sampled = sum(c.kind == "sos" for c in constraints)
     nodes = max([c.size for c in constraints if c.kind == "sos"], default=1)
     order = max([1, *table[ORDER].tolist()])
     widest = max([nodes, order * order, *con[ROWS].tolist()])
     lengths = np.array(
         [matrices] * 16 + [vectors] * 13 + [m + 1] * 10
-        + [compact, compact, factors, nodes * nodes, nodes * nodes, nodes * order, tall, 4 * order * order + widest]
-        + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2, groups * (m + 1), groups, 24]
+        + [compact, compact, factors, nodes * (2 * nodes + order), nodes * order, tall, 4 * order * order + widest]
+        + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2 * (1 + sampled), groups * (m + 1), groups, 24]
     )  # fmt: skip
     at = np.zeros(_COUNT, dtype=np.int64)
     # Every storage starts at a multiple of eight numbers, a cache line.
     starts = np.concatenate([[0], np.cumsum(-(-lengths // 8) * 8)])
     at[: len(lengths)] = starts[:-1]
     at[M], at[VECTORS], at[MATRICES], at[GROUPS] = m, vectors, matrices, groups
-    at[LENGTH], at[DEGREE], at[NODES], at[FLATS] = starts[-1], degree, nodes, flat
+    at[LENGTH], at[DEGREE], at[SPACE], at[FLATS] = starts[-1], degree, nodes * (2 * nodes + order), flat
     return Layout(con, table, np.concatenate([*bases, *weights, *interior, folds, targets]), at)
 
 
@@ -150,7 +151,7 @@ def _fold(c: Constraint) -> float:
 def memory(lay: Layout) -> State:
     """Allocate the memory of one solve."""
     constraints = lay.con.shape[1]
-    ints = np.zeros(8 + constraints * (int(lay.at[M]) + 2), dtype=np.int64)
+    ints = np.zeros(8 + constraints * (int(lay.at[M]) + 3), dtype=np.int64)
     return State(np.zeros(int(lay.at[LENGTH])), ints)
 
 
@@ -205,6 +206,13 @@ def entries(lay, st, name, b):  # type: ignore[no-untyped-def]
 
 
 @inner
+def failed(lay, st):  # type: ignore[no-untyped-def]
+    """Whether a constraint's system could not be factored, (constraints,)."""
+    start = 8 + lay.con.shape[1] * (lay.at[M] + 2)
+    return st.ints[start : start + lay.con.shape[1]]
+
+
+@inner
 def part(lay, st, name, i):  # type: ignore[no-untyped-def]
     """Constraint i's part of a vector storage, (rows,)."""
     start = lay.at[name] + lay.con[VECTOR, i]
@@ -220,8 +228,10 @@ def decision(lay, st, name):  # type: ignore[no-untyped-def]
 
 @inner
 def compact(lay, st, name, i):  # type: ignore[no-untyped-def]
-    """Constraint i's data (G or V): (rows, width), or (width, k^2) for a matrix inequality."""
+    """Constraint i's data (G or V): (width, entries) of polynomials and matrices, (rows, width) of cones."""
     rows, width, start = lay.con[ROWS, i], st.ints[8 + i], lay.at[name] + lay.con[COMPACT, i]
+    if lay.con[KIND, i] == SOS:
+        return st.heap[start : start + width * rows].reshape((width, rows))
     if lay.con[KIND, i] == LMI:
         return st.heap[start : start + width * rows * rows].reshape((width, rows * rows))
     return st.heap[start : start + rows * width].reshape((rows, width))

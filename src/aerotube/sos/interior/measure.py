@@ -153,8 +153,8 @@ def measure(lay, st):  # type: ignore[no-untyped-def]
             else:
                 small.add(residual, -1.0, part(lay, st, S, i))
                 inner += small.dot(part(lay, st, S, i), multiplier)
-        if kind == LMI:
-            largest, away = lmi_excess(residual, compact(lay, st, G, i), tau)
+        if kind in (SOS, LMI):
+            largest, away = row_excess(residual, compact(lay, st, G, i), tau)
         else:
             largest, away = vector_excess(residual, compact(lay, st, G, i), tau)
         worst, ray = max(worst, largest), max(ray, away)
@@ -185,7 +185,7 @@ def vector_excess(x, data, tau):  # type: ignore[no-untyped-def]
 
 
 @inner
-def lmi_excess(x, data, tau):  # type: ignore[no-untyped-def]
+def row_excess(x, data, tau):  # type: ignore[no-untyped-def]
     """The same with the constants in the last row of the data."""
     plain, ray, last = 0.0, 0.0, data.shape[0] - 1
     for r in range(x.shape[0]):

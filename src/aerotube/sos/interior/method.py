@@ -25,7 +25,7 @@ from aerotube.sos.interior.compiled import inner, keep_apart
 from aerotube.sos.interior.direction import direction, refine
 from aerotube.sos.interior.layout import DEGREE
 from aerotube.sos.interior.measure import judge, measure
-from aerotube.sos.interior.schur import assemble
+from aerotube.sos.interior.schur import assemble, reduce_all
 from aerotube.sos.interior.state import (
     GAP,
     HOMOGENEOUS,
@@ -106,18 +106,34 @@ def iterate(lay, st, optimality):  # type: ignore[no-untyped-def]
 
 
 @inner
+def ready(lay, st, feasibility, optimality):  # type: ignore[no-untyped-def]
+    """Factor, measure and judge the iterate; True if there is a step to be taken."""
+    keep_apart()
+    if not factor_blocks(lay, st):
+        st.ints[STATUS] = STALLED
+        return False
+    measure(lay, st)
+    st.ints[STATUS] = judge(lay, st, feasibility, optimality)
+    return st.ints[STATUS] == RUNNING
+
+
+@inner
+def complete(lay, st, optimality):  # type: ignore[no-untyped-def]
+    """Take the step, once the sampled constraints have been reduced."""
+    keep_apart()
+    if not assemble(lay, st) or not iterate(lay, st, optimality):
+        st.ints[STATUS] = STALLED
+
+
+@inner
 def advance(lay, st, feasibility, optimality, budget):  # type: ignore[no-untyped-def]
     """Iterate at most `budget` times, or until the status is no longer RUNNING; return the status."""
     keep_apart()
     for _ in range(budget):
-        if not factor_blocks(lay, st):
-            st.ints[STATUS] = STALLED
+        if not ready(lay, st, feasibility, optimality):
             break
-        measure(lay, st)
-        st.ints[STATUS] = judge(lay, st, feasibility, optimality)
+        reduce_all(lay, st)
+        complete(lay, st, optimality)
         if st.ints[STATUS] != RUNNING:
-            break
-        if not assemble(lay, st) or not iterate(lay, st, optimality):
-            st.ints[STATUS] = STALLED
             break
     return st.ints[STATUS]

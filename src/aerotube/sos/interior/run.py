@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aerotube.sos.interior import scaling, state
-from aerotube.sos.interior.compiled import entry, inner
+from aerotube.sos.interior.compiled import entry, inner, keep_apart
 from aerotube.sos.interior.layout import (
     BEST_D,
     BEST_Q,
@@ -34,7 +34,8 @@ from aerotube.sos.interior.layout import (
     part,
 )  # fmt: skip
 from aerotube.sos.interior.measure import RAY_ACCEPTED, ray
-from aerotube.sos.interior.method import advance
+from aerotube.sos.interior.method import advance, complete, ready
+from aerotube.sos.interior.schur import reduce_sampled
 from aerotube.sos.interior.state import (
     BEST,
     BEST_DUAL,
@@ -62,7 +63,7 @@ from aerotube.sos.interior.state import (
 NUMBERS = 8
 """Length of the head of an answer: primal and dual residual, gap, status, iterations."""
 DIRECT, EMBEDDED = np.arange(2)
-ACCEPTED = 10.0
+ACCEPTED = 3.0
 """A stalled solve within this factor of the tolerances counts as solved."""
 
 
@@ -82,8 +83,35 @@ def proceed(lay, st, feasibility, optimality, limit, budget):  # type: ignore[no
 
     A variant that stalls, or that has not ended after `limit` iterations, gives way to the self-dual embedding.
     """
-    number = numbers(lay, st)
-    status = advance(lay, st, feasibility, optimality, min(budget, limit - st.ints[ITERATIONS]))
+    advance(lay, st, feasibility, optimality, min(budget, limit - st.ints[ITERATIONS]))
+    return settled(lay, st, limit)
+
+
+@entry
+def open_step(lay, st, feasibility, optimality):  # type: ignore[no-untyped-def]
+    """First third of an iteration: True if the sampled constraints are to be reduced, with `reduce_one`."""
+    return ready(lay, st, feasibility, optimality)
+
+
+@entry
+def reduce_one(lay, st, i, room):  # type: ignore[no-untyped-def]
+    """Second third: one sampled constraint, at the same time as others; room is scratch of Layout.at[SPACE] numbers."""
+    reduce_sampled(lay, st, i, room)
+
+
+@entry
+def close_step(lay, st, optimality, limit):  # type: ignore[no-untyped-def]
+    """Last third, left out where there was nothing to reduce; True if there is nothing left to do, as `proceed`."""
+    if st.ints[STATUS] == RUNNING:
+        complete(lay, st, optimality)
+    return settled(lay, st, limit)
+
+
+@inner
+def settled(lay, st, limit):  # type: ignore[no-untyped-def]
+    """Whether there is nothing left to do; the variants give way to one another here."""
+    keep_apart()
+    number, status = numbers(lay, st), st.ints[STATUS]
     if status == RUNNING and st.ints[ITERATIONS] < limit:
         return False
     if status in (OPTIMAL, INFEASIBLE, UNBOUNDED):

@@ -15,15 +15,15 @@ from aerotube.sos.interior.layout import (
     LOCAL,
     LZ,
     NORM,
+    ORDER,
+    ROOM,
     ROOT,
     ROWS,
     SCALE,
     SCHUR,
     SCHUR_FACTOR,
     SOS,
-    SQUARE,
-    SQUARE2,
-    TALL,
+    SPACE,
     TALLQ,
     G,
     M,
@@ -32,6 +32,7 @@ from aerotube.sos.interior.layout import (
     active,
     block,
     compact,
+    failed,
     matrix_at,
     part,
     rows_of,
@@ -48,46 +49,60 @@ def factor_of(lay, st, i):  # type: ignore[no-untyped-def]
 
 
 @inner
-def factor_sampled(lay, st, i):  # type: ignore[no-untyped-def]
-    """Factor a sampled constraint's Schur complement, with a diagonal lift as small as succeeds."""
+def share_of(lay, st, i):  # type: ignore[no-untyped-def]
+    """Storage of constraint i's share of the Schur complement: sampled constraints have their own, others share one."""
+    width, slot, m = active(lay, st, i).shape[0], 0, lay.at[M]
+    if lay.con[KIND, i] == SOS:
+        for k in range(i + 1):
+            slot += 1 if lay.con[KIND, k] == SOS else 0
+    return matrix_at(st.heap, lay.at[LOCAL] + slot * (m + 1) ** 2, width, width)
+
+
+@inner
+def reduce_sampled(lay, st, i, room):  # type: ignore[no-untyped-def]
+    """Factor a sampled constraint's Schur complement, with a diagonal lift as small as succeeds.
+
+    Fills V and the constraint's share V'V of the decision vector's Schur complement. Touches nothing that belongs to
+    another constraint, so that constraints can be dealt with at the same time, each with scratch `room` of its own.
+    """
     keep_apart()
     rows, matrix, k2 = lay.con[ROWS, i], factor_of(lay, st, i), part(lay, st, K2, i)
-    first = matrix_at(st.heap, lay.at[SQUARE], rows, rows)
-    second = matrix_at(st.heap, lay.at[SQUARE2], rows, rows)
-    lift = 2e-16
-    while lift < 1e-6:
+    data, scaled = compact(lay, st, G, i), compact(lay, st, V, i)
+    first, second = matrix_at(room, 0, rows, rows), matrix_at(room, rows * rows, rows, rows)
+    lift, bad = 2e-16, True
+    while bad and lift < 1e-6:
         k2[:] = 0.0
         for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
             blocks.add_schur(
                 rows_of(lay, b), weights_of(lay, b), tall_of(lay, st, TALLQ, b), block(lay, st, LZ, b),
-                b == lay.con[FIRST, i], first, second, matrix, tall_of(lay, st, TALL, b), k2,
+                b == lay.con[FIRST, i], matrix, first, second,
+                matrix_at(room, 2 * rows * rows, rows, lay.blk[ORDER, b]), k2,
             )  # fmt: skip
         for u in range(rows):
             matrix[u, u] *= 1.0 + lift
-        if blas.cholesky(matrix):
-            return True
+        small.copy_matrix(data, scaled)
+        bad = not blas.factor_beside(matrix, scaled)
         lift *= 50.0
-    return False
+    failed(lay, st)[i] = 1 if bad else 0
+    if not bad:
+        blas.gram_lower(scaled, share_of(lay, st, i), 0.0)
 
 
 @inner
-def scale_data(lay, st, i, local):  # type: ignore[no-untyped-def]
-    """Fill V of constraint i and the lower triangle of its share V'V of the Schur complement."""
+def reduce_direct(lay, st, i):  # type: ignore[no-untyped-def]
+    """Fill V of a matrix inequality or a cone, and its share V'V of the Schur complement."""
     keep_apart()
-    data, scaled = compact(lay, st, G, i), compact(lay, st, V, i)
-    rows, kind = lay.con[ROWS, i], lay.con[KIND, i]
+    data, scaled, local = compact(lay, st, G, i), compact(lay, st, V, i), share_of(lay, st, i)
+    kind = lay.con[KIND, i]
     if kind == LMI:
         blocks.scale_inequality(data, block(lay, st, SCALE, lay.con[FIRST, i]), scaled)
         blas.gram_lower(scaled, local, 0.0)
         return
     root = part(lay, st, ROOT, i)
-    if kind == SOS:
-        small.copy_matrix(data, scaled)
-        blas.solve_lower(factor_of(lay, st, i), scaled)
-    elif kind == NORM:
+    if kind == NORM:
         cones.apply_inverse_rows(part(lay, st, W, i), root[0], data, scaled)
     else:
-        for r in range(rows):
+        for r in range(scaled.shape[0]):
             inverse = 1.0 / root[r]
             for c in range(data.shape[1]):
                 scaled[r, c] = data[r, c] * inverse
@@ -95,18 +110,31 @@ def scale_data(lay, st, i, local):  # type: ignore[no-untyped-def]
 
 
 @inner
+def reduce_all(lay, st):  # type: ignore[no-untyped-def]
+    """Reduce all sampled constraints, one after the other."""
+    keep_apart()
+    room = st.heap[lay.at[ROOM] : lay.at[ROOM] + lay.at[SPACE]]
+    for i in range(lay.con.shape[1]):
+        if lay.con[KIND, i] == SOS:
+            reduce_sampled(lay, st, i, room)
+
+
+@inner
 def assemble(lay, st):  # type: ignore[no-untyped-def]
-    """Add up the Schur complement (m + 1, m + 1), lower triangle, and factor its leading part; False on failure."""
+    """Add up the Schur complement (m + 1, m + 1), lower triangle, and factor its leading part; False on failure.
+
+    The sampled constraints have been reduced before.
+    """
     keep_apart()
     m = lay.at[M]
     schur = matrix_at(st.heap, lay.at[SCHUR], m + 1, m + 1)
     schur[:] = 0.0
     for i in range(lay.con.shape[1]):
-        if lay.con[KIND, i] == SOS and not factor_sampled(lay, st, i):
+        if lay.con[KIND, i] != SOS:
+            reduce_direct(lay, st, i)
+        elif failed(lay, st)[i] == 1:
             return False
-        columns = active(lay, st, i)
-        local = matrix_at(st.heap, lay.at[LOCAL], columns.shape[0], columns.shape[0])
-        scale_data(lay, st, i, local)
+        columns, local = active(lay, st, i), share_of(lay, st, i)
         for a in range(columns.shape[0]):
             for b in range(a + 1):
                 schur[columns[a], columns[b]] += local[a, b]

@@ -157,7 +157,7 @@ def values(lay, st, d, tau, i, out):  # type: ignore[no-untyped-def]
     """Out = value of constraint i at decision storage `d` and tau."""
     keep_apart()
     short, data = gather(lay, st, i, d, tau), compact(lay, st, G, i)
-    if lay.con[KIND, i] == LMI:
+    if lay.con[KIND, i] in (SOS, LMI):
         blas.transposed_times_vector(data, short, out, 1.0, 0.0)
     else:
         blas.times_vector(data, short, out, 1.0, 0.0)
@@ -169,7 +169,7 @@ def add_adjoint(lay, st, name, i, x, out):  # type: ignore[no-untyped-def]
     keep_apart()
     columns, data = active(lay, st, i), compact(lay, st, name, i)
     short = scratch(lay, st, SHORT, columns.shape[0])
-    if lay.con[KIND, i] == LMI:
+    if lay.con[KIND, i] in (SOS, LMI):
         blas.times_vector(data, x, short, 1.0, 0.0)
     else:
         blas.transposed_times_vector(data, x, short, 1.0, 0.0)
