@@ -13,7 +13,7 @@ from aerotube.aircraft.base import Aircraft
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.dynamics.step import step
 from aerotube.flight.estimator import Estimate, ExtendedKalmanFilter
-from aerotube.runtime.kernels import clamp, increments, plausible
+from aerotube.runtime.kernels import clamp, corrected, increments, plausible
 from aerotube.runtime.messages import Rung
 
 Array = NDArray[np.float64]
@@ -201,10 +201,16 @@ class Commander:
         """Estimated state; position and further states as measured (or expected)."""
         assert self.estimator is not None
         assert self._estimate is not None
-        nominal = self.estimator.nominal.states[number]
+        nominal, before = self.estimator.nominal.states[number], self._estimate
+        if measured and self.estimator.coordinates.kind == "relative":
+            packed = np.concatenate([before.error[0], before.parameters[0], before.gust[0]])
+            after, out = corrected(state, nominal, packed, np.ascontiguousarray(self.estimator.gains[number]))
+            last = 8 + before.parameters.shape[1]
+            self._estimate = Estimate(after[None, :8], after[None, 8:last], after[None, last:])
+            return out
         if measured:
             error = self.estimator.coordinates.difference(state, nominal)
-            self._estimate = self.estimator.correct(number, self._estimate, error[None])
+            self._estimate = self.estimator.correct(number, before, error[None])
         out = state.copy()
         out[:10] = self.estimator.coordinates.retract(nominal, self._estimate.error[0])[:10]
         return out

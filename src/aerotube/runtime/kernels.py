@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from aerotube.aircraft.rigid_body import flow_angles
+from aerotube.aircraft.rigid_body import flow_angles, velocity_from_flow
+from aerotube.numerics import quaternion_product
 
 Array = NDArray[np.float64]
 
@@ -48,6 +49,37 @@ def difference(state: Array, nominal: Array, relative: bool) -> Array:
     out[0], out[1], out[2], out[3] = speed - speed_n, alpha - alpha_n, state[8] - nominal[8], theta
     out[4], out[5], out[6], out[7] = beta - beta_n, state[7] - nominal[7], state[9] - nominal[9], phi
     return out
+
+
+@njit(cache=True)
+def moved(nominal: Array, error: Array) -> Array:
+    """State components (10,), without position, at a relative error (8,) from a nominal: `ErrorCoordinates.retract`."""
+    speed, alpha, beta = flow_angles((nominal[0], nominal[1], nominal[2]))
+    u, v, w = velocity_from_flow(speed + error[0], alpha + error[1], beta + error[4])
+    d0, d1, d2 = _down(nominal[3], nominal[4], nominal[5], nominal[6])
+    level = np.hypot(d1, d2)
+    cos_roll, sin_roll = (1.0, 0.0) if level < 1e-9 else (d2 / level, d1 / level)
+    half_theta, half_phi = 0.5 * error[3], 0.5 * error[7]
+    scale = 1.0 / np.sqrt(1.0 + half_theta * half_theta + half_phi * half_phi)
+    turn = (
+        scale,
+        -scale * half_phi * (-d1 * sin_roll - d2 * cos_roll),
+        scale * (half_theta * cos_roll - half_phi * d0 * sin_roll),
+        scale * (-half_theta * sin_roll - half_phi * d0 * cos_roll),
+    )
+    q0, q1, q2, q3 = quaternion_product((nominal[3], nominal[4], nominal[5], nominal[6]), turn)
+    rates = (nominal[7] + error[5], nominal[8] + error[2], nominal[9] + error[6])
+    return np.array([u, v, w, q0, q1, q2, q3, rates[0], rates[1], rates[2]])
+
+
+@njit(cache=True)
+def corrected(state: Array, nominal: Array, estimate: Array, gains: Array) -> tuple[Array, Array]:
+    """A Kalman filter's estimate (8 + p + g,) after a measured state (n,), in relative coordinates, and its state."""
+    innovation = difference(state, nominal, True) - estimate[:8]
+    out = estimate + gains @ innovation
+    guess = state.copy()
+    guess[:10] = moved(nominal, out[:8])
+    return out, guess
 
 
 @njit(cache=True)
