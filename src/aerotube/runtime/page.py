@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _DOTS_PER_INCH = 100
 _KINDS = {
     "anytime": "flew the any-time answer: the law as it stood at the solver's deadline, certified as it is",
-    "last": "flew the law of an earlier beat, certified for this one too",
+    "last": "flew the law of an earlier beat or manoeuvre, certified for this one too",
     "lqr": "flew the gain of the linear-quadratic regulator, not certified",
     "nominal": "flew the nominal control alone",
     "predicted_state": "had no measurement in time, or none that was believed: the model carried the last one on",

@@ -86,7 +86,10 @@ class Pilot:
         self._planned: dict[int, Flown] = {}
         self._held: dict[int, Flown] = {}
         self._lqr: dict[int, Array] = {}
+        self._earlier: dict[int, tuple[Flown, Nominal]] = {}
+        self._earlier_lqr: dict[int, Array] = {}
         self._nominals: dict[int, Nominal] = {}
+        self._asked_for: dict[int, Nominal] = {}
         self._memory: dict[int, Laws] = {}
         self._offset = np.inf
         self._heard = np.inf
@@ -247,7 +250,11 @@ class Pilot:
         self._afterwards(beat)
 
     def _best(self, beat: int) -> tuple[Array, NDArray[np.int64], Array, bool]:
-        """Down the ladder: gains, rungs, sizes, and whether the beat's window is late."""
+        """Down the ladder: gains, rungs, sizes, and whether the beat's window is late.
+
+        A last law is that of the window before, where it was certified for this beat, or that of the manoeuvre before
+        at this beat, if the nominal is the very same.
+        """
         parts = len(self.task.settings.parts)
         found = self._planned.get(beat)
         if found is not None:
@@ -255,9 +262,14 @@ class Pilot:
         found = self._held.get(beat)
         if found is not None:
             return *found, True
-        nothing = np.full(parts, np.nan)
-        if beat in self._lqr:
-            return self._lqr[beat], np.full(parts, int(Rung.LQR)), nothing, True
+        number, nothing = beat % self.horizon, np.full(parts, np.nan)
+        earlier = self._earlier.get(number)
+        if earlier is not None and earlier[1] is self._nominals.get(beat):
+            gains, rungs, size = earlier[0]
+            return gains, np.maximum(rungs, Rung.LAST), size, True
+        gain = self._lqr.get(beat, self._earlier_lqr.get(number))
+        if gain is not None:
+            return gain, np.full(parts, int(Rung.LQR)), nothing, True
         return np.zeros((4, 8)), np.full(parts, int(Rung.NOMINAL)), nothing, True
 
     def _afterwards(self, beat: int) -> None:
@@ -279,6 +291,7 @@ class Pilot:
         nominal = self.guidance.update(manoeuvre, first)
         for beat in range(start, (manoeuvre + 1) * self.horizon):
             self._nominals[beat] = nominal
+        self._asked_for[start] = nominal
         lead = np.inf
         if self.clocked and self._asked:
             lead = self._windows[self._asked - 1][1] * self.length
@@ -332,6 +345,7 @@ class Pilot:
         count = next(beats for at, beats in self._windows if at == start)
         times = WindowTimes(start, count, job.asked, job.started, job.done, start, job.attempts, error=job.error)
         self.record.windows.append(times)
+        nominal = self._asked_for.pop(start)
         laws: Laws | None = job.result
         if laws is None:
             times.error = times.error or "overtaken by the flight before its turn came"
@@ -345,6 +359,8 @@ class Pilot:
         for j, beat in enumerate(laws.beats + manoeuvre * self.horizon):
             store = self._planned if j < laws.window else self._held
             if j < laws.window or (laws.rungs[j] <= Rung.LAST).all():
-                store[int(beat)] = (laws.gains[j], laws.rungs[j], laws.size[j])
+                store[int(beat)] = flown = (laws.gains[j], laws.rungs[j], laws.size[j])
+                if j < laws.window and (laws.rungs[j] <= Rung.LAST).all():
+                    self._earlier[int(beat) % self.horizon] = flown, nominal
         for j, gain in enumerate(laws.lqr):
-            self._lqr[manoeuvre * self.horizon + first + j] = gain
+            self._lqr[manoeuvre * self.horizon + first + j] = self._earlier_lqr[first + j] = gain
