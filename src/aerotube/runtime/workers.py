@@ -9,6 +9,8 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Any
 
+_LET_GO = 3  # stalled workers that may be there at once
+
 
 class Killed(BaseException):
     """Ends a worker without a word, as a fault does."""
@@ -67,6 +69,7 @@ class Workers:
         self._busy: dict[threading.Thread, Job | None] = {}
         self._open: dict[Hashable, Job] = {}
         self._lock = threading.Lock()
+        self._let_go: list[threading.Thread] = []
         self._number = 0
         self.events: list[tuple[float, str]] = []
         for _ in range(count):
@@ -99,6 +102,7 @@ class Workers:
     def supervise(self) -> None:
         """Replace workers that died or stalled, and give their jobs to others."""
         now = time.monotonic()
+        self._let_go = [thread for thread in self._let_go if thread.is_alive()]
         with self._lock:
             busy = list(self._busy.items())
         for thread, job in busy:
@@ -106,14 +110,19 @@ class Workers:
             stalled = not dead and job is not None and now - job.started > job.patience and job.key in self._open
             if not (dead or stalled):
                 continue
+            if stalled and len(self._let_go) >= _LET_GO:
+                continue  # as many as that are not stalled: the machine is short of time, and more would make it worse
             with self._lock:
                 self._busy.pop(thread, None)  # a stalled one ends by itself when it finds that it was let go
+            if stalled:
+                self._let_go.append(thread)
             what = f"{thread.name} {'died' if dead else 'stalled'}"
             self._hire()
             if job is None or job.key not in self._open:
                 self.events.append((now, f"{what}; replaced"))
             elif job.attempts < self._attempts:
                 self.events.append((now, f"{what} at {job.key}; replaced, and the work given to another"))
+                job.patience *= 2.0
                 self._waiting.put(job)
             else:
                 self.events.append((now, f"{what} at {job.key}; replaced, and the work given up"))
