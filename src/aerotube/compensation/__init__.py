@@ -2,6 +2,7 @@
 
 from aerotube.compensation.bounds import KINDS, NONE, SHARES
 from aerotube.compensation.design import Design, design
+from aerotube.compensation.gauge import Reading, gauge, gauge_beat
 from aerotube.compensation.law import LinearLaw, PolynomialLaw
 from aerotube.compensation.sampled import Sampling
 from aerotube.compensation.settings import COUPLED, DECOUPLED, Part, SynthesisSettings
@@ -19,11 +20,14 @@ __all__ = [
     "LinearLaw",
     "Part",
     "PolynomialLaw",
+    "Reading",
     "Sampling",
     "SynthesisSettings",
     "Tubes",
     "certified_size",
     "design",
+    "gauge",
+    "gauge_beat",
     "measure",
     "synthesise",
 ]
