@@ -37,20 +37,34 @@ Mask = NDArray[np.bool_]
 #: sliver in which only what is not linear is seen.
 FACTOR, TERMINAL_FACTOR = 1.003, 1.03
 _LOCAL = 0.05  # length of a finite difference
-_REFINEMENTS, _LOCAL_STEPS = 2, 2
-_FLOWN = 8  # ends of climbs on the fitted maps that are flown
+_LOCAL_STEPS = 2
 
 
 @dataclass(frozen=True)
 class _Effort:
-    """Samples and principal directions to climb the fitted maps from, and steps of a climb."""
+    """What a search for a worst point does.
+
+    Attributes
+    ----------
+    samples, directions : int
+        Samples and principal directions to climb the fitted maps from.
+    steps : int
+        Of a climb.
+    flown : int
+        Ends of climbs that are flown.
+    refinements : int
+        Climbs along local slopes of the true map, from the worst of these.
+    """
 
     samples: int
     directions: int
     steps: int
+    flown: int
+    refinements: int
 
 
-_USUAL, _THOROUGH = _Effort(6, 3, 8), _Effort(20, 3, 16)
+#: For the shares, which only say how a bound is made up; for the bound; and for terminal ellipsoids.
+QUICK, USUAL, THOROUGH = _Effort(4, 2, 6, 2, 0), _Effort(6, 3, 8, 8, 2), _Effort(20, 3, 16, 8, 2)
 
 
 @dataclass(frozen=True)
@@ -91,13 +105,22 @@ def draw(balls: tuple[int, ...], count: int, seed: int) -> Array:
 
 def support(over: BeatSet, gradient: Array) -> Array:
     """Points of the product of balls that are farthest along gradients (..., k); zero along a zero gradient."""
-    out, start = np.empty_like(gradient), 0
+    out, start = np.sign(gradient), 0
     for size in over.balls:
+        if size == 1:
+            start += 1
+            continue
         own = gradient[..., start : start + size]
         length = np.linalg.norm(own, axis=-1, keepdims=True)
         out[..., start : start + size] = own / np.where(length > 0.0, length, 1.0)
         start += size
     return out
+
+
+def _curved(names: tuple[str, ...], balls: tuple[int, ...]) -> Mask:
+    """Variables that are neither measurement errors nor wind, in which maps are all but linear: bool (k,)."""
+    kinds = np.repeat([name.split(" ")[0] for name in names], balls)
+    return np.asarray(~np.isin(kinds, ("measurement", "wind")))
 
 
 @lru_cache(maxsize=16)
@@ -108,8 +131,7 @@ def _fitting(
 
     Measurement errors and wind, of which there are many, enter linearly.
     """
-    kinds = np.repeat([name.split(" ")[0] for name in names], balls)
-    curved = np.flatnonzero(~np.isin(kinds, ("measurement", "wind")))
+    curved = np.flatnonzero(_curved(names, balls))
     rows, columns = (curved[i] for i in np.tril_indices(len(curved)))
     z = draw(balls, count, seed)
     features = np.concatenate([np.ones((count, 1)), z, z[:, rows] * z[:, columns]], axis=1)
@@ -141,18 +163,23 @@ class Search:
         self.points = draw(over.balls, sampling.samples, sampling.seed)
         self.ends = fly(np.broadcast_to(self.points, (self.beats, *self.points.shape)))
         self.sound = np.isfinite(self.ends).all(axis=(1, 2))
+        self.curved = _curved(over.names, over.balls)
         self.centre, self.slopes, self.bends = self._fit()
 
     def _fit(self) -> tuple[Array, Array, Array]:
-        """Quadratic maps through the samples by least squares: (b, 8), (b, 8, k) and symmetric (b, 8, k, k)."""
+        """Quadratic maps through the samples by least squares: (b, 8), (b, 8, k) and symmetric (b, 8, kc, kc).
+
+        The first kc variables are the curved ones.
+        """
         inverse, rows, columns = _fitting(self.over.names, self.over.balls, len(self.points), self.seed)
         ends = np.where(np.isfinite(self.ends), self.ends, 0.0)
         found = np.swapaxes(inverse @ ends, 1, 2)
-        bends = np.zeros((self.beats, 8, self.size, self.size))
+        curved = int(self.curved.sum())
+        bends = np.zeros((self.beats, 8, curved, curved))
         bends[:, :, rows, columns] = found[..., 1 + self.size :]
         return found[..., 0], found[..., 1 : 1 + self.size], bends + np.swapaxes(bends, 2, 3)
 
-    def largest(self, errors: Sequence[int], form: Array, free: Mask, thorough: bool = False) -> tuple[Array, Array]:
+    def largest(self, errors: Sequence[int], form: Array, free: Mask, effort: _Effort = USUAL) -> tuple[Array, Array]:
         """Largest ``x' form x`` found with some of the variables free, the others zero.
 
         Parameters
@@ -160,8 +187,7 @@ class Search:
         errors : sequence of int, length n
         form : ndarray (b, n, n)
         free : bool (k,)
-        thorough : bool
-            For forms in which what is not linear matters.
+        effort : _Effort
 
         Returns
         -------
@@ -169,7 +195,7 @@ class Search:
             Infinite where some flight was not finite. If all variables are free, at least that of every sample.
         point : ndarray (b, k)
         """
-        own, effort = list(errors), _THOROUGH if thorough else _USUAL
+        own = list(errors)
         sizes = _sizes(self.ends[..., own], form)
         best = np.argsort(-sizes, axis=1)[:, : effort.samples]
         worst = self.points[best] * free
@@ -178,7 +204,7 @@ class Search:
             found.take(np.take_along_axis(sizes, best, axis=1), worst)
         points = self._worst_of_fit(worst, own, free, form, effort)
         found.take(_sizes(self.fly(points)[..., own], form), points)
-        for _ in range(_REFINEMENTS):
+        for _ in range(effort.refinements):
             end, slopes = self._local(found.point, own, free)
             for _ in range(_LOCAL_STEPS):
                 ahead = support(self.over, end @ form @ slopes)
@@ -189,30 +215,38 @@ class Search:
 
     def _worst_of_fit(self, starts: Array, own: list[int], free: Mask, form: Array, effort: _Effort) -> Array:
         """Worst points of the fitted maps, climbed to from given points and from principal directions: (b, s, k)."""
-        centre, bends = self.centre[:, None, own], self.bends[:, own] * np.outer(free, free)
+        # measurement errors and wind, which are not curved, come last
+        curved = self.bends.shape[-1]
+        centre, bends = self.centre[:, None, own], self.bends[:, own] * np.outer(free, free)[:curved, :curved]
         slopes = self.slopes[:, own] * free
         vectors = np.linalg.eigh(np.swapaxes(slopes, 1, 2) @ form @ slopes)[1][..., : -1 - effort.directions : -1]
         principal = support(self.over, np.swapaxes(vectors, 1, 2))
         points = np.concatenate([starts, principal, -principal], axis=1)
-        flat = bends.reshape(self.beats, -1, self.size)
+        flat = np.swapaxes(bends.reshape(self.beats, -1, curved), 1, 2)
         for step in range(effort.steps + 1):
-            bent = (points @ np.swapaxes(flat, 1, 2)).reshape(*points.shape[:2], len(own), self.size)
-            ends = centre + points @ np.swapaxes(slopes, 1, 2) + 0.5 * np.einsum("bsik,bsk->bsi", bent, points)
+            inner = points[..., :curved]
+            bent = (inner @ flat).reshape(*points.shape[:2], len(own), curved)
+            ends = centre + points @ np.swapaxes(slopes, 1, 2) + 0.5 * (bent @ inner[..., None])[..., 0]
             if step == effort.steps:
                 break
-            gradient = (ends @ form)[:, :, None, :] @ (slopes[:, None] + bent)
-            points = support(self.over, gradient[:, :, 0])
-        best = np.argsort(-_sizes(ends, form), axis=1)[:, :_FLOWN]
+            ahead = ends @ form
+            gradient = ahead @ slopes
+            gradient[..., :curved] += (ahead[:, :, None, :] @ bent)[:, :, 0]
+            points = support(self.over, gradient)
+        best = np.argsort(-_sizes(ends, form), axis=1)[:, : effort.flown]
         return np.asarray(np.take_along_axis(points, best[..., None], axis=1))
 
     def _local(self, point: Array, own: list[int], free: Mask) -> tuple[Array, Array]:
-        """Values (b, 1, n) and slopes (b, n, k), over short steps inwards, of the map at points (b, k)."""
-        axes = np.flatnonzero(free)
+        """Values (b, 1, n) and slopes (b, n, k), over short steps inwards, of the map at points (b, k).
+
+        Those in measurement errors and wind, nearly linear, are the fitted ones.
+        """
+        axes = np.flatnonzero(free & self.curved)
         reach = np.where(point > 0.0, -_LOCAL, _LOCAL)[:, axes]
         moved = np.repeat(point[:, None], len(axes) + 1, axis=1)
         moved[:, np.arange(len(axes)), axes] += reach
         ends = self.fly(moved)[..., own]
-        slopes = np.zeros((self.beats, len(own), self.size))
+        slopes = self.slopes[:, own] * free
         slopes[:, :, axes] = np.swapaxes((ends[:, :-1] - ends[:, -1:]) / reach[..., None], 1, 2)
         return ends[:, -1:], slopes
 
@@ -260,18 +294,20 @@ def bound(search: Search, part: Part, form: Array, polynomial: Array) -> Bound:
     level, shares = polynomial, np.zeros((search.beats, len(SHARES)))
     point = np.zeros((search.beats, search.size))
     sound = search.sound.copy()
-    for row, free in enumerate(_levels(search.over, part)):
+    levels = _levels(search.over, part)
+    whole = max(row for row, free in enumerate(levels) if free is not None)
+    for row, free in enumerate(levels):
         if row == SHARES.index("parameters"):
             value = _inside(search, point, own, form)
         elif free is None:
             continue
         else:
-            value, point = search.largest(own, form, free)
+            value, point = search.largest(own, form, free, USUAL if row == whole else QUICK)
         sound &= np.isfinite(value)
         reached = np.where(sound, np.maximum(level, FACTOR * value), level)
         shares[:, row], level = reached - level, reached
     shape = _terminal_shape(search, own)
-    found, _ = search.largest(own, shape, np.ones(search.size, dtype=bool), thorough=True)
+    found, _ = search.largest(own, shape, np.ones(search.size, dtype=bool), THOROUGH)
     control = np.zeros(search.beats)
     holds = sound & np.isfinite(found)
     why = "a flight of its samples was not finite"
