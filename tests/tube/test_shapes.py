@@ -3,7 +3,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from aerotube.dynamics import ErrorCoordinates
-from aerotube.errors import InputError
+from aerotube.errors import ComputationError, InputError
 from aerotube.tube import cost_to_go, riccati, tracking_weights
 
 
@@ -43,6 +43,29 @@ def test_recursion_tends_to_the_stationary_solution():
     stationary = solve_discrete_are(A[0], B[0], Q, R)
     np.testing.assert_allclose(cost[0], stationary, rtol=1e-8)
     np.testing.assert_allclose(riccati(A[:1], B[:1], Q[None], R[None])[0], stationary, rtol=1e-12)
+
+
+def test_riccati_of_many_beats_is_that_of_each():
+    """By another method, on plants of the sizes and units that occur, unstable ones too."""
+    rng = np.random.default_rng(4)
+    A, B = plant(rng, 30)
+    A[:10] *= 1.5
+    unit = np.array([100.0, 0.01, 0.02, 0.03])
+    A, B = A * unit[:, None] / unit, B * unit[:, None] * [1.0, 1e-4]
+    Q = np.repeat(np.diag(unit**-2.0)[None], 30, 0)
+    R = np.repeat(np.diag([1e-3, 1e-12])[None], 30, 0)
+    found = riccati(A, B, Q, R)
+    for beat in range(30):
+        expected = solve_discrete_are(A[beat], B[beat], Q[beat], R[beat])
+        assert found[beat] * np.outer(unit, unit) == pytest.approx(expected * np.outer(unit, unit), rel=1e-6, abs=1e-8)
+
+
+def test_a_beat_that_cannot_be_stabilised_is_named():
+    A = np.stack([np.diag([0.5, 0.5]), np.diag([0.5, 2.0])])
+    B = np.repeat(np.array([[1.0], [0.0]])[None], 2, 0)
+    weights = np.repeat(np.eye(2)[None], 2, 0)
+    with pytest.raises(ComputationError, match="beat 1 has no stabilising solution"):
+        riccati(A, B, weights, weights[:, :1, :1])
 
 
 def test_noise_weight_is_the_price_of_noise_fed_back():
