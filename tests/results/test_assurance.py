@@ -7,6 +7,7 @@ import pytest
 
 from aerotube import report, results
 from aerotube.flight import Containment
+from aerotube.report.assurance import containment_figure, margins_figure
 from aerotube.verify import margins
 from tests.conftest import BEATS
 
@@ -66,21 +67,24 @@ def test_the_summary_tells_the_worst_of_the_stable_beats(assured):
     assert counted["outside"]["error"] == 3 * BEATS
 
 
-def test_the_report_shows_both(assured, tmp_path):
-    report.write(results.build(assured), tmp_path)
-    assert {"margins", "containment"} <= {path.stem for path in (tmp_path / "figures").iterdir()}
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+def test_the_report_shows_both(assured):
+    dataset = results.build(assured)
+    for figure in (margins_figure(dataset), containment_figure(dataset)):
+        assert figure is not None
+        figure.canvas.draw()
+    page = report.build_page(dataset, results.summarise(dataset), {})
     assert f'<td class="n">{VIOLATED}</td><td class="n">2.5</td>' in page
     assert "1 beats have a frozen loop" in page
 
 
-def test_without_them_nothing_is_said(record, tmp_path):
+def test_without_them_nothing_is_said(record):
     dataset = results.build(record)
     summary = results.summarise(dataset)
     assert summary["containment"] == {}
     assert summary["laws"]["noise"]["margins"] is None
     assert "disk_margin" not in dataset
-    report.write(dataset, tmp_path)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert margins_figure(dataset) is None
+    assert containment_figure(dataset) is None
+    page = report.build_page(dataset, summary, {})
     assert 'id="margins"' not in page
     assert 'id="containment"' not in page
