@@ -74,7 +74,7 @@ def test_the_report_shows_both(assured):
         figure.canvas.draw()
     page = report.build_page(dataset, results.summarise(dataset), {})
     assert f'<td class="n">{VIOLATED}</td><td class="n">2.5</td>' in page
-    assert "1 beats have a frozen loop" in page
+    assert "not stable by itself, and has no margin: 1<" in page
 
 
 def test_without_them_nothing_is_said(record):

@@ -140,8 +140,8 @@ def margins_html(summary: Mapping[str, Any]) -> str:
             words = ""
         if margins["unstable_beats"]:
             rows.append(
-                f'<tr><td></td><td colspan="6">{margins["unstable_beats"]} beats have a frozen loop that is not '
-                "stable by itself, and no margin</td></tr>"
+                '<tr><td></td><td colspan="6">beats whose frozen loop is not stable by itself, and has no margin: '
+                f"{margins['unstable_beats']}</td></tr>"
             )
     if not rows:
         return ""
