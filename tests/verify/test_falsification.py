@@ -3,10 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerotube.compensation import LinearLaw, synthesise
+from aerotube.aircraft import F16
+from aerotube.compensation import LinearLaw, SynthesisSettings, synthesise
 from aerotube.dynamics import error_map
 from aerotube.errors import InputError
-from aerotube.tube import ellipsoid, parameter_ranges
+from aerotube.tube import DisturbanceBox, ellipsoid, parameter_ranges
 from aerotube.verify import Adversity, falsify
 from tests.samples import BOX, aircraft, table2
 
@@ -144,3 +145,22 @@ def test_numbers_out_of_range_are_refused(made, options):
 def test_adversities_that_make_no_sense_are_refused(wrong):
     with pytest.raises(InputError, match="falsify"):
         Adversity(**wrong)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"law_degree": 2}, {"gust": 2.0, "gust_rotation": 0.01}, {"attitude": "euler"}, {"algorithm": "coupled"}],
+    ids=["polynomial", "gusts", "euler", "coupled"],
+)
+def test_laws_and_sets_of_every_kind(settings):
+    """With four uncertain parameters: sizes hold against all of it, and hardly more than that."""
+    plane = F16(uncertain=("mass", "inertia", "lift", "control_effectiveness"))
+    box = DisturbanceBox(BOX.half_widths, dict.fromkeys(("mass", "inertia", "lift", "control_effectiveness"), 0.03))
+    own = synthesise(plane, table2(1), box, SynthesisSettings(**settings))
+    found = falsify(plane, table2(1), box, own, samples=300, ascents=15)
+    assert not found.broken[..., SIZE].any()
+    assert (found.ratio[..., SIZE] > 0.95).all()
+    assert (found.parameters != 1.0).any(axis=(0, 1, 2)).all()
+    assert found.wind.any() == ("gust" in settings)
+    smaller = replace(own, tubes=replace(own.tubes, size=0.94 * own.tubes.size))
+    assert falsify(plane, table2(1), box, smaller, samples=300, ascents=15).broken[..., SIZE].all()

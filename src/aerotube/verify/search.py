@@ -1,4 +1,4 @@
-"""The search for the worst points of a set: random draws, extreme points, and ascents from the worst of them."""
+"""The search for the worst points of a set: random draws, extreme points, and ascents from the worst."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class WorstPoints:
         points.append(self._principal())
         errors = np.concatenate(points)
         uncertain = [i for i in space.free if ERRORS <= i < ERRORS + len(space.ranges)]
-        # Corners of a few parameters; of many, only opposite ones.
+        # Corners of a few parameters; ends of many, one at a time.
         signs: list[tuple[float, ...]] = (
             list(itertools.product((-1.0, 1.0), repeat=len(uncertain)))
             if len(uncertain) <= 4
