@@ -95,7 +95,8 @@ class DisturbanceSet(ABC):
         """Extreme values of the aircraft's uncertain parameters.
 
         Where the map is affine in each parameter, a convex measure of its result is largest at one of these; where
-        it is nearly so, they are where the worst case is taken (`aerotube.aircraft.f16` says how near its own are).
+        it is nearly so, they are where the worst case is taken (`aerotube.aircraft.f16` says how near its own are, and
+        `aerotube.compensation.uncertainty` has programs with the parameters as variables).
 
         Parameters
         ----------
