@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from aerotube import compensation, flight, results, scenario, verify
 from aerotube.dynamics import ErrorCoordinates, linearise
 from aerotube.errors import ComputationError
-from aerotube.preparation import SETTINGS, Prepared, coefficient_curves, error_states, prepare
+from aerotube.preparation import SETTINGS, Prepared, coefficient_curves, error_states, estimated_parameters, prepare
 from aerotube.results import CALM, ESTIMATOR, NOISE, Case, Law, Record
 from aerotube.tube import parameter_ranges
 
@@ -276,8 +276,7 @@ class _Flights:
                 self.prepared.nominal,
                 disturbance.half_widths,
                 self.chosen.flight.noise,
-                mass_error=disturbance.mass,
-                other_parameters=[(-change, change) for change in list(disturbance.relative.values())[1:]],
+                **estimated_parameters(disturbance),
             )
         return self._filter
 

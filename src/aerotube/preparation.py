@@ -98,9 +98,7 @@ def prepare(source: scenario.Source) -> Prepared:
         chosen.disturbance.half_widths,
         chosen.draws.seed_values,
         chosen.draws.runs,
-        mass_error=relative["mass"],
-        other_parameters=[(1.0 - change, 1.0 + change) for change in list(relative.values())[1:]],
-        inverse=[i for i, parameter in enumerate(rigid.parameter_names) if parameter.startswith("inverse_")],
+        **drawn_parameters(chosen.disturbance, rigid),
     )
     settings: dict[str, compensation.SynthesisSettings] = {
         key: compensation.SynthesisSettings(**chosen.synthesis.setting(key)) for key in SETTINGS
@@ -116,6 +114,22 @@ def _gusts(source: scenario.Source, reference: nominal.Nominal) -> flight.Dryden
 
     start = reference.states[0]
     return flight.Dryden(severity, float(start[12]), float(np.linalg.norm(start[:3])), SPAN)
+
+
+def drawn_parameters(disturbance: scenario.Disturbance, aircraft: Aircraft, share: float = 1.0) -> dict[str, Any]:
+    """Options of `aerotube.flight.draw` for a scenario's uncertain quantities, `share` of their ranges."""
+    mass, *others = (share * change for change in disturbance.relative.values())
+    return {
+        "mass_error": mass,
+        "other_parameters": [(1.0 - change, 1.0 + change) for change in others],
+        "inverse": [i for i, name in enumerate(aircraft.parameter_names) if name.startswith("inverse_")],
+    }
+
+
+def estimated_parameters(disturbance: scenario.Disturbance) -> dict[str, Any]:
+    """Options of `aerotube.flight.extended_kalman_filter` for a scenario's uncertain quantities."""
+    mass, *others = disturbance.relative.values()
+    return {"mass_error": mass, "other_parameters": [(-change, change) for change in others]}
 
 
 def make_nominal(source: scenario.Source, aircraft: Aircraft) -> nominal.Nominal:

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from aerotube import flight
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.errors import ComputationError, InputError
-from aerotube.preparation import Prepared
+from aerotube.preparation import Prepared, drawn_parameters, estimated_parameters
 from aerotube.runtime import plant as plants
 from aerotube.runtime.channels import Channel, QueueChannel, SocketChannel
 from aerotube.runtime.commander import Beat, Commander
@@ -250,8 +250,9 @@ def make_world(prepared: Prepared, options: Options) -> World:
     nominal, chosen = prepared.nominal, prepared.source.scenario
     seconds = nominal.beats * nominal.dt
     runs = max(1, int(np.ceil((options.duration or seconds) / seconds - 1e-9)))
-    mass = chosen.disturbance.mass if options.deviation == "box" else 0.0
-    draws = flight.draw(chosen.disturbance.half_widths, [options.seed], runs, mass_error=mass)
+    share = 1.0 if options.deviation == "box" else 0.0
+    uncertain = drawn_parameters(chosen.disturbance, prepared.plant, share)
+    draws = flight.draw(chosen.disturbance.half_widths, [options.seed], runs, **uncertain)
     if options.deviation == "paper":
         draws = replace(draws, initial_error=np.tile(PAPER_DEVIATION, (runs, 1)))
     gusts = prepared.gusts
@@ -309,7 +310,7 @@ def make_estimator(prepared: Prepared, options: Options) -> flight.ExtendedKalma
         prepared.nominal,
         disturbance.half_widths,
         _noise(prepared, options),
-        mass_error=disturbance.mass,
+        **estimated_parameters(disturbance),
     )
 
 

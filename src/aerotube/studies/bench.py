@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from aerotube import compensation, flight, job, results, scenario
 from aerotube.compensation import Design, SynthesisSettings
 from aerotube.errors import ComputationError
-from aerotube.preparation import prepare
+from aerotube.preparation import estimated_parameters, prepare
 from aerotube.results import CALM, ESTIMATOR, NOISE
 from aerotube.units import DISPLAY
 
@@ -107,7 +107,7 @@ class Bench:
                 ready.nominal,
                 ready.disturbance.half_widths,
                 1.0,
-                mass_error=ready.source.scenario.disturbance.mass,
+                **estimated_parameters(ready.source.scenario.disturbance),
             )
         return self._estimator
 
