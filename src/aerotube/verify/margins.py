@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 # Frequencies (rad a beat) at which every loop is looked at, besides those of its own poles; then the search closes in.
-_GRID = np.concatenate([[0.0], np.geomspace(1e-3, np.pi, 32)])
+_GRID = np.concatenate([[0.0], np.geomspace(1e-3, np.pi, 28)])
 _ROUNDS, _POINTS = 4, 5
 _SWEEPS = 6
 
@@ -306,14 +306,17 @@ def _single_delays(loop: _Loop, grid: Array, S: Complex) -> Array:
         return out
     low, high = grid[beat, place], grid[beat, place + 1]
     below, above = height[beat, place, control], height[beat, place + 1, control]
+    before: NDArray[np.bool_] | None = None
     for _ in range(15):
         theta = np.clip(low - below * (high - low) / (above - below), low, high)
         value = loop.sensitivity(theta[:, None], beat)[np.arange(len(beat)), 0, control, control]
         here, imaginary = value.real - 0.5, value.imag
         left = np.sign(here) == np.sign(below)
-        # The end that stays is counted half (the Illinois method), so that both come in.
+        # An end that stays a second time is counted half (the Illinois method), so that both come in.
+        half = np.where(left == before, 0.5, 1.0) if before is not None else 1.0
         low, high = np.where(left, theta, low), np.where(left, high, theta)
-        below, above = np.where(left, here, 0.5 * below), np.where(left, 0.5 * above, here)
+        below, above = np.where(left, here, half * below), np.where(left, half * above, here)
+        before = left
         if np.all(np.abs(here) < 1e-6):
             break
     delay = (np.pi - 2.0 * np.arctan(2.0 * imaginary)) / np.maximum(theta, np.finfo(float).tiny)
