@@ -122,7 +122,7 @@ def _margin_lines(summary: dict[str, Any]) -> Iterator[str]:
             for which, worst in told
         )
         unstable = margins["unstable_beats"]
-        yield words + (f"; {unstable} beats not stable by themselves" if unstable else "")
+        yield words + (f"; beats not stable by themselves: {unstable}" if unstable else "")
 
 
 def _containment_lines(summary: dict[str, Any]) -> Iterator[str]:
@@ -130,9 +130,10 @@ def _containment_lines(summary: dict[str, Any]) -> Iterator[str]:
     for condition, found in summary["containment"].items():
         beats, inside = found["beats"], found["started_inside"]
         violations = ", ".join(f"{name} {count}" for name, count in found["violations"].items() if count) or "none"
+        reasons = ", ".join(f"{reason} {count}" for reason, count in found["outside"].items() if count)
         yield (
             f"{condition}: {100.0 * inside / max(beats, 1):.1f} % of {beats} beats started inside the sets of their "
-            f"tubes; of these left their tube: {violations}"
+            f"tubes{f' (outside: {reasons})' if reasons else ''}; of these left their tube: {violations}"
         )
 
 
