@@ -285,6 +285,8 @@ def make_task(prepared: Prepared, options: Options) -> Task:
     """What every window is computed from; the noisy setting of the synthesis where the law sees noise."""
     noisy = _noise(prepared, options) > 0 and not options.estimator
     settings = replace(prepared.settings["noise" if noisy else "noise_free"], reuse=options.reuse)
+    if settings.saturation != 1.0:
+        raise InputError("flight: laws that saturate are not flown against the clock; set saturation = 1.")
     if settings.law_degree > 1:
         raise InputError(
             f"flight: laws of degree {settings.law_degree} are not flown against the clock; set law_degree = 1."
