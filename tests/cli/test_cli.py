@@ -25,7 +25,7 @@ def one_sentence(errors: str) -> bool:
     return errors.startswith("aerotube: ") and errors.count("\n") == 1 and "Traceback" not in errors
 
 
-@pytest.mark.parametrize("command", [[], ["init"], ["run"], ["report"], ["check"]])
+@pytest.mark.parametrize("command", [[], ["init"], ["run"], ["report"], ["check"], ["falsify"]])
 def test_help_explains_every_command(capsys, command):
     code, out, _ = aerotube(capsys, *command, "--help")
     assert code == 0
