@@ -35,8 +35,9 @@ def end_errors(
     start: Array,
     vertices: Array,
     law: BatchLaw | None = None,
+    others: Array | None = None,
 ) -> Array:
-    """Errors of a part at the end of beats, the other parts' errors zero at the start.
+    """Errors of a part at the end of beats.
 
     Parameters
     ----------
@@ -51,12 +52,16 @@ def end_errors(
         Values of the uncertain parameters.
     law : BatchLaw, optional
         None: the nominal controls alone.
+    others : ndarray (b, 8), optional
+        The other parts' errors at the start; zero by default.
 
     Returns
     -------
     ndarray (b, k, u, n)
     """
     error = np.zeros((len(beats), 1, start.shape[1], 8))
+    if others is not None:
+        error += others[:, None, None]
     error[..., part.errors] = start[:, None]
     end = error_map(
         aircraft,

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube import sos
-from aerotube.compensation import joint_shape, law_program, limits
-from aerotube.compensation.closed_loop import end_errors
+from aerotube.compensation import carried, joint_shape, law_program, limits
 from aerotube.compensation.groundwork import taken
 from aerotube.compensation.law_program import GroupData, Shape
 from aerotube.compensation.settings import Part
@@ -62,7 +61,7 @@ def _shape(task: Task, index: int, rows: Beats) -> Shape:
     return Shape(
         states=len(part.errors),
         controls=len(part.controls),
-        vertices=len(task.ground.vertices),
+        vertices=len(task.ground.vertices) * carried.count(task),
         steps=steps,
         law_degree=settings.law_degree,
         degree=max(settings.degree, 2 * settings.law_degree),
@@ -100,7 +99,7 @@ def _group_data(task: Task, index: int, shape: Shape, rows: Beats) -> GroupData:
         return np.asarray(inside + least / len(e) * np.eye(len(e))).reshape(*lead, len(e), len(e))
 
     points = np.einsum("bij,uj->bui", initial.whitening, law_program.nodes(shape))
-    values = end_errors(task.aircraft, task.nominal, beats, ground.coordinates, part, points, ground.vertices)
+    values = carried.map_values(task, index, beats, points)
     whitening = initial.whitening.reshape(*lead, *initial.whitening.shape[1:])
     seen = ground.seen[rows][..., e]
     lower, upper = own.lower[rows].max(1), own.upper[rows].min(1)
@@ -117,7 +116,8 @@ def _group_data(task: Task, index: int, shape: Shape, rows: Beats) -> GroupData:
         corners = _corners(task, index, beats).reshape(len(rows), -1, len(e))
     return GroupData(
         map_values=values.reshape(*lead, *values.shape[1:]),
-        input_map=ground.input_map[rows][:, :, :, e[:, None], c] * usable[:, None, None, None, :],
+        input_map=np.tile(ground.input_map[rows][:, :, :, e[:, None], c], (1, 1, carried.count(task), 1, 1))
+        * usable[:, None, None, None, :],
         whitening=whitening,
         metric=own.metric[rows],
         seen=seen.max(1),

@@ -91,6 +91,9 @@ class SynthesisSettings:
         boundary: the law is asked to do something sensible even in directions where no error is expected.
     attitude : {"relative", "euler"}
         Error coordinates the law works in.
+    coupling : {"dropped", "carried"}
+        What a half of a decoupled synthesis takes the other half's errors for: zero, or at their worst, see
+        :mod:`aerotube.compensation.carried`.
     certificate : {"polynomial only", "sampled", "rigorous"}
         What the tubes are to rest on, see :class:`~aerotube.compensation.Tubes`. Rigorous bounds want an aircraft
         with smooth tables: the kinks of linear ones widen them.
@@ -126,6 +129,7 @@ class SynthesisSettings:
     control_weight: float = 1e-3
     least_expected: float = 1e-2
     attitude: Literal["relative", "euler"] = "relative"
+    coupling: Literal["dropped", "carried"] = "dropped"
     certificate: Certificate = "sampled"
     gust: float = 0.0
     gust_rotation: float = 0.0
@@ -144,6 +148,7 @@ class SynthesisSettings:
             "shape": ("cost-to-go", "riccati"),
             "limits": ("box", "ellipsoid"),
             "attitude": ("relative", "euler"),
+            "coupling": ("dropped", "carried"),
             "certificate": ("polynomial only", "sampled", "rigorous"),
         }
         for name, allowed in choices.items():
