@@ -11,6 +11,7 @@ from aerotube.studies import STUDIES, job
 from aerotube.studies.bench import Bench
 from aerotube.studies.outcome import Outcome, compare
 from aerotube.studies.statistics import paired, spread, welch
+from aerotube.studies.steps_time import predicted
 
 QUICK = ("coefficients", "tracking")
 
@@ -152,6 +153,14 @@ def test_welchs_test_gives_a_published_value():
     assert found.degrees == pytest.approx(degrees)
     assert found.p == pytest.approx(2 * stdtr(degrees, -abs(statistic)))
     assert found.difference == pytest.approx(a.mean() - b.mean())
+
+
+def test_the_model_of_threads():
+    serial, parallel = np.array([1.0]), np.array([32.0])
+    times = [predicted(serial, parallel, threads)[0] for threads in (1, 2, 8, 16, 32, 64)]
+    assert times == pytest.approx([33.0, 17.0, 5.0, 3.0, 2.0, 2.0])
+    # programs are whole: five threads are no better than what the longest queue of seven takes
+    assert predicted(serial, parallel, 5)[0] == pytest.approx(1.0 + 7.0)
 
 
 def test_tests_without_spread():

@@ -40,8 +40,8 @@ Array = NDArray[np.float64]
 Held = Literal["attack", "pitch"]
 
 #: The sweep of :func:`best_inversion`, 1/s: bandwidths of the body rates, of the slow angles, and of the airspeed.
-RATE_GAINS = (1.0, 2.0, 4.0, 8.0, 14.0)
-ANGLE_GAINS = (0.25, 0.5, 1.0, 2.0)
+RATE_GAINS = (1.0, 2.0, 4.0, 8.0, 14.0, 20.0)
+ANGLE_GAINS = (0.25, 0.5, 1.0, 2.0, 4.0)
 SPEED_GAINS = (1.0,)
 
 _FAST = (7, 8, 9)

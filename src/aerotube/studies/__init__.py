@@ -41,13 +41,16 @@ class Study:
 #: All studies by name, in the paper's order.
 STUDIES: dict[str, Study] = {
     "coefficients": Study("Aerodynamic coefficients (Fig. 7)", "coefficients", 1.0),
-    "tubes": Study("Trajectory tubes (Fig. 8)", "tubes", 5.0),
-    "tracking": Study("Tracking with and without compensation (Fig. 9)", "tracking", 10.0),
-    "decoupling-time": Study("Time to solve, with and without decoupling (Fig. 11)", "decoupling_time", 60.0),
-    "decoupling-performance": Study("Tracking with and without decoupling (Fig. 12)", "decoupling_performance", 40.0),
-    "sensitivity": Study("Sensitivity of the law to the nominal (Fig. 17, Table 3)", "sensitivity", 60.0),
-    "methods": Study("Compensation beside other methods", "methods", 200.0),
-    "tradeoff": Study("Tracking, effort and tube size: what a designer chooses from", "tradeoff", 60.0),
+    "tubes": Study("Trajectory tubes (Fig. 8)", "tubes", 20.0),
+    "tracking": Study("Tracking with and without compensation (Fig. 9)", "tracking", 15.0),
+    "reuse": Study("Control reuse (Fig. 10)", "reuse", 15.0),
+    "decoupling-time": Study("Time to solve, with and without decoupling (Fig. 11)", "decoupling_time", 40.0),
+    "decoupling-performance": Study("Tracking with and without decoupling (Fig. 12)", "decoupling_performance", 25.0),
+    "steps-time": Study("Time of two and three steps over threads (Fig. 13)", "steps_time", 60.0),
+    "steps-performance": Study("Tracking with two and three steps (Fig. 14)", "steps_performance", 30.0),
+    "sensitivity": Study("Sensitivity of the law to the nominal (Fig. 17, Table 3)", "sensitivity", 100.0),
+    "methods": Study("Compensation beside other methods", "methods", 250.0),
+    "tradeoff": Study("Tracking, effort and tube size: what a designer chooses from", "tradeoff", 70.0),
 }
 
 __all__ = ["STUDIES", "Study"]

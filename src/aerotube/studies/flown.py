@@ -18,8 +18,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: Okabe and Ito's palette and line styles, by the place of a case.
-COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#333333")
-DASHES: tuple[Any, ...] = ((0, (5, 2)), "solid", (0, (1, 1.2)), (0, (6, 2, 1, 2)), (0, (3, 1)), (0, (8, 3)))
+COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#333333", "#56B4E9")
+DASHES: tuple[Any, ...] = (
+    (0, (5, 2)),
+    "solid",
+    (0, (1, 1.2)),
+    (0, (6, 2, 1, 2)),
+    (0, (3, 1)),
+    (0, (8, 3)),
+    (0, (2, 2)),
+)
 
 
 def flights_dataset(cases: Mapping[str, Flights], nominal_controls: Array) -> xr.Dataset:
@@ -91,7 +99,7 @@ def bands_figure(
     panels : sequence of (str, str)
         The paper's letter and the state or control of each; the sum of errors comes last.
     cases : sequence of str
-        In the order in which they are drawn, at most six.
+        In the order in which they are drawn, at most seven.
     columns : int
 
     Returns

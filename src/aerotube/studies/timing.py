@@ -101,6 +101,7 @@ def distributions_figure(title: str, samples: Mapping[str, Array], columns: int,
         axes.set_ylabel("solves", fontsize=9)
         axes.tick_params(labelsize=8)
         axes.grid(True, color="#DDDDDD", linewidth=0.6)
+        axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
         axes.margins(y=0.25)
         axes.legend(fontsize=8, frameon=False)

@@ -77,8 +77,9 @@ def study(bench: Bench) -> Outcome:
             "and controls. Tube size is Eq. 18 of the half-widths at the end of a beat, mean over the beats.",
             "All laws have the control weight and the measurement error of the scenario's noise setting; each flies "
             "without sensor noise and with noise of the full range, on the same draws.",
-            "A small tube of one beat does not make good tracking: the law that looks beyond the beat (cost-to-go) "
-            "leaves larger tubes and tracks better.",
+            "The size of the tube of one beat does not tell how well a law tracks: under noise the best law leaves a "
+            "larger tube than others, and laws with the same tubes track differently. What looks beyond the beat "
+            "does.",
         ),
         tables=(_table(dataset),),
     )
