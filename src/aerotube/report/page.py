@@ -194,7 +194,10 @@ def _tubes(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str
         return ""
     rows = []
     for name, law in summary["laws"].items():
-        settings = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in law["settings"].items())
+        settings = ", ".join(
+            f"{key.replace('_', ' ')} {format(value, 'g') if isinstance(value, float) else value}"
+            for key, value in law["settings"].items()
+        )
         solve = law["solve_ms"]
         beyond = law["certify_ms"]["median"]
         time = "–" if solve["median"] is None else f"{solve['median']:.1f} / {solve['p99']:.1f}"
