@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from aerotube import sos
-from aerotube.compensation import DECOUPLED, SynthesisSettings, exact_map, synthesise
+from aerotube.compensation import DECOUPLED, SynthesisSettings, boundary, exact_map, synthesise
 from aerotube.compensation.groundwork import effort_weights, expectations
 from aerotube.dynamics import error_map
 from aerotube.errors import InputError
@@ -111,27 +111,32 @@ def sphere(rng, *shape):
     return z / np.linalg.norm(z, axis=-1, keepdims=True)
 
 
-def monomials(z):
-    """All of degree three and four: a basis of the polynomials of degree four on the sphere."""
-    powers = [p for p in itertools.product(range(5), repeat=4) if sum(p) in (3, 4)]
+def monomials(z, degrees):
+    """All of some degrees; those of three and four are a basis of the polynomials of degree four on the sphere."""
+    powers = [p for p in itertools.product(range(5), repeat=4) if sum(p) in degrees]
     return np.stack([np.prod(z**p, axis=-1) for p in powers], axis=-1)
 
 
 @pytest.mark.parametrize("index", [0, 1])
 def test_tubes_hold_the_interpolant_of_the_true_map(made, index):
-    """Second route: the polynomial through the values at the nodes, in monomials, on a dense sample."""
-    structure = exact_map.size_structure(4, 2, 4)
-    nodes = structure.nodes("tube/0")
-    dense = sphere(np.random.default_rng(index), 4000)
-    interpolate = monomials(dense) @ np.linalg.inv(monomials(nodes))
-    tubes = made.tubes
-    for sigma in BOX.parameter_vertices(aircraft()):
+    """Second route: the polynomial through the values at the nodes, in monomials, on a dense sample.
+
+    Sizes are of the polynomials through nodes of the sphere, terminal ellipsoids of those through nodes of the ball.
+    """
+    tubes, dense = made.tubes, sphere(np.random.default_rng(index), 4000)
+    on_sphere, in_ball = exact_map.size_structure(4, 2, 4).nodes("tube/0"), boundary.nodes(4, 4)
+    deep = dense * np.random.default_rng(2).random((len(dense), 1)) ** 0.25
+    cases = (
+        (tubes.metric, tubes.size, on_sphere, dense, (3, 4)),
+        (tubes.terminal_shape, tubes.terminal_rho, in_ball, np.concatenate([dense, deep]), range(5)),
+    )
+    for sigma, (shape, rho, nodes, points, degrees) in itertools.product(BOX.parameter_vertices(aircraft()), cases):
+        interpolate = monomials(points, degrees) @ np.linalg.inv(monomials(nodes, degrees))
         error = np.einsum("tij,uj->tui", whitened(made, index), nodes)
         end = ends(made, index, error, np.broadcast_to(sigma, (BEATS, 1, 1)))
-        for shape, rho in ((tubes.metric, tubes.size), (tubes.terminal_shape, tubes.terminal_rho)):
-            value = np.einsum("tui,tij,tuj->tu", end, shape[:, index], end)
-            assert (value @ interpolate.T <= rho[:, index, None] * (1 + 1e-12)).all()
-            assert (value.max(1) > 0.7 * rho[:, index]).all()
+        value = np.einsum("tui,tij,tuj->tu", end, shape[:, index], end)
+        assert (value @ interpolate.T <= rho[:, index, None] * (1 + 1e-12)).all()
+        assert (value.max(1) > 0.7 * rho[:, index]).all()
 
 
 @pytest.mark.parametrize("index", [0, 1])
