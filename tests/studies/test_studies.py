@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtr
 
+from aerotube.cli import app
 from aerotube.errors import ComputationError, InputError
 from aerotube.studies import STUDIES, job
 from aerotube.studies.bench import Bench
@@ -170,3 +171,16 @@ def test_tests_without_spread():
     a = [0.7, -1.6, -0.2, -1.2, -0.1, 3.4, 3.7, 0.8, 0.0, 2.0]
     b = [1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4]
     assert paired(a, b) == pytest.approx(0.002833, rel=1e-3)  # the same data, each patient against himself
+
+
+def test_the_command_says_what_it_found_and_names_mistakes(tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        app(["study", "coefficients", "--runs", "1", "--seeds", "1", "--out", str(tmp_path)])
+    assert end.value.code == 0
+    assert "coefficients" in capsys.readouterr().out
+    assert (tmp_path / "studies.html").is_file()
+    with pytest.raises(SystemExit) as end:
+        app(["study", "coeficients", "--out", str(tmp_path / "other")])
+    assert end.value.code == 2
+    assert "no study 'coeficients'" in capsys.readouterr().err
+    assert not (tmp_path / "other").exists()

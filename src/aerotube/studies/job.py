@@ -130,11 +130,15 @@ def run(
 
 
 def _telling(progress: Tell | None, name: str, before: float, weight: float) -> Tell:
-    """Turn a share of one study into a share of all."""
+    """Turn a share of one study into a share of all, told where the words change or a percent has been done."""
+    last: list[tuple[str, float]] = []
 
     def tell(words: str, share: float) -> None:
-        if progress is not None:
-            progress(f"{name}: {words}" if words else name, before + share * weight)
+        now = words, before + share * weight
+        if progress is None or (last and last[0][0] == words and abs(now[1] - last[0][1]) < 0.01):
+            return
+        last[:] = [now]
+        progress(f"{name}: {words}" if words else name, now[1])
 
     return tell
 
