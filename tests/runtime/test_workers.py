@@ -86,8 +86,9 @@ def test_an_error_is_told():
 
 
 def test_stolen_time_is_that_within_the_span():
-    thefts = np.array([[2.0, 0.5], [4.0, 1.0]])  # from 1.5 to 2, from 3 to 4
+    # on one core from 1.5 to 2 and from 3 to 4, on another from 3.5 to 3.7
+    thefts = np.array([[2.0, 0.5, 0], [3.7, 0.2, 1], [4.0, 1.0, 0]])
     assert stolen(thefts, 0.0, 5.0) == pytest.approx(1.5)
     assert stolen(thefts, 1.8, 3.25) == pytest.approx(0.45)
     assert stolen(thefts, 2.1, 2.9) == 0.0
-    assert stolen(np.empty((0, 2)), 0.0, 5.0) == 0.0
+    assert stolen(np.empty((0, 3)), 0.0, 5.0) == 0.0

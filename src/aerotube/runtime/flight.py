@@ -147,7 +147,7 @@ class Flown:
     alone : ndarray (manoeuvre, T + 1, 8) or None
         Errors of the same flights on the nominal controls alone.
     faults : Faults or None
-    thefts : ndarray (k, 2)
+    thefts : ndarray (k, 3)
         See `Watchdog.stop`.
     warm_up, first_window : float
         s before take-off: compiling or loading code, and computing the first window.
@@ -237,7 +237,7 @@ def fly(
         gc.unfreeze()
         workers.close()
         truth = _home(process, report, session) if own else None
-        thefts = watchdog.stop() if watchdog is not None else np.empty((0, 2))
+        thefts = watchdog.stop() if watchdog is not None else np.empty((0, 3))
         home.close()
     alone = None if truth is None or not truth.flown_manoeuvres else fly_alone(world, truth, pilot.record)
     return Flown(

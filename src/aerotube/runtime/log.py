@@ -109,7 +109,8 @@ def to_dataset(flown: Flown) -> xr.Dataset:
     for name in ("check", "design", "certify"):
         spent = [w.seconds.get(name, 0.0) for w in record.windows]
         put(f"window_{name}_seconds", ("window",), spent, f"time spent on: {name}", "s")
-    put("theft", ("theft_number", "end_and_seconds"), flown.thefts - [[start, 0.0]], "sleeps that took too long", "s")
+    thefts = flown.thefts - [[start, 0.0, 0.0]]
+    put("theft", ("theft_number", "end_seconds_core"), thefts, "sleeps that took too long", "s, s, 1")
     with_law = errors_flown(flown)
     if flown.truth is not None and with_law is not None and flown.alone is not None:
         truth, aircraft = flown.truth, ("manoeuvre", "step")
