@@ -166,7 +166,8 @@ def _deadlines(dataset: xr.Dataset, summary: dict[str, Any], figures: dict[str, 
         "<p>A beat misses its deadline if its laws are not there when its measurement is, or if its command is not "
         "with the aircraft within 30 % of the beat. A miss is explained if the machine stole at least as much time as "
         "was missing on one of its cores; processes that only sleep measure that: "
-        f"{stolen:.0f} ms in all, {longest:.1f} ms at most at once. Code was compiled or loaded in {float(dataset.attrs['warm_up_seconds']):.1f} s and the first window "
+        f"{stolen:.0f} ms in all, {longest:.1f} ms at most at once. Code was compiled or loaded in "
+        f"{float(dataset.attrs['warm_up_seconds']):.1f} s and the first window "
         f"computed in {float(dataset.attrs['first_window_seconds']):.2f} s, both before take-off.</p>"
         + picture(figures["fig15_timeline"], "Windows, beats and latency (counterpart of the paper's Fig. 15).")
     )
