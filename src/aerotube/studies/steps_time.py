@@ -116,9 +116,9 @@ def study(bench: Bench) -> Outcome:
             + ", ".join(f"{form}, {steps} {share:.0%}" for (form, steps), share in shares.items())
             + ".",
             "On the exact map two steps find law and ellipsoid together, in a large program; three steps the law in a "
-            "held shape, then the ellipsoid, in two small ones: three steps are faster on any number of threads. In "
-            "the paper's increment form the second program comes on top of a first one that is hardly smaller; two "
-            "steps are faster there, by less the more threads there are.",
+            "held shape, then the ellipsoid, in two small ones, and are faster. In the paper's increment form the "
+            "second program of three steps comes on top of a first one that is hardly smaller: slower on one thread, "
+            "by less the more threads there are.",
         ),
         tables=(_tests(tests), _model(found)),
     )
