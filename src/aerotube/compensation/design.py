@@ -12,8 +12,8 @@ from aerotube.aircraft.base import Aircraft
 from aerotube.compensation import exact_map
 from aerotube.compensation.closed_loop import end_errors
 from aerotube.compensation.exact_design import design_groups
-from aerotube.compensation.groundwork import available_increments as available_increments
 from aerotube.compensation.groundwork import Groundwork, groundwork, taken
+from aerotube.compensation.groundwork import available_increments as available_increments
 from aerotube.compensation.increment_design import design_increments
 from aerotube.compensation.law import LinearLaw, PolynomialLaw, assembled
 from aerotube.compensation.settings import SynthesisSettings
@@ -151,6 +151,7 @@ def design(
         chosen,
         ground.coordinates,
         _room(task) if settings.saturation > 1.0 else None,
+        _reach(task) if settings.law_degree > 1 else None,
     )
     seconds = [np.stack([laws.seconds for laws in parts], axis=1)]
     terminal = [laws.terminal for laws in parts if laws.terminal is not None]
@@ -234,3 +235,13 @@ def _room(task: Task) -> Array:
     for part, ground in zip(task.settings.parts, task.ground.parts, strict=True):
         room[:, part.controls] = np.stack([ground.lower, ground.upper], axis=-1)
     return room
+
+
+def _reach(task: Task) -> Array:
+    """Brings measured errors of every part to the unit ball: ndarray (T, 8, 8)."""
+    out = np.zeros((task.nominal.beats, 8, 8))
+    for part, ground in zip(task.settings.parts, task.ground.parts, strict=True):
+        e = np.array(part.errors)
+        growth = (task.ground.seen[:, e] / ground.initial.widths).max(-1)
+        out[:, e[:, None], e] = np.linalg.inv(ground.initial.whitening) / growth[:, None, None]
+    return out

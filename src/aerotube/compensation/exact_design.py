@@ -54,6 +54,7 @@ def design_groups(task: Task, rows: Beats, tell: Tell) -> list[PartLaws]:
 def _shape(task: Task, index: int, rows: Beats) -> Shape:
     settings, part, steps = task.settings, task.settings.parts[index], rows.shape[1]
     where, corners = settings.limits, 0
+    worst = "worst-case" in dict(settings.weights)
     if where == "box" and settings.law_degree == 1 and not isinstance(task.disturbance, DisturbanceBox):
         # on a set with corners the limits hold there; on any other, on the ellipsoid around it
         corners = steps * _corners(task, index, rows.ravel()).shape[1]
@@ -64,7 +65,7 @@ def _shape(task: Task, index: int, rows: Beats) -> Shape:
         vertices=len(task.ground.vertices) * carried.count(task),
         steps=steps,
         law_degree=settings.law_degree,
-        degree=max(settings.degree, 2 * settings.law_degree),
+        degree=max(settings.degree, 2 * (settings.law_degree if worst else (settings.law_degree + 1) // 2)),
         weights=settings.weights,
         limits=where,
         corners=corners,
@@ -94,9 +95,9 @@ def _group_data(task: Task, index: int, shape: Shape, rows: Beats) -> GroupData:
     initial = taken(own.initial, beats)
     inverse = np.linalg.inv(initial.whitening)
 
-    def whitened(moment: Array, least: float) -> Array:
+    def whitened(moment: Array) -> Array:
         inside = inverse @ moment[beats][:, e[:, None], e] @ np.swapaxes(inverse, 1, 2)
-        return np.asarray(inside + least / len(e) * np.eye(len(e))).reshape(*lead, len(e), len(e))
+        return np.asarray(inside.reshape(*lead, len(e), len(e)))
 
     points = np.einsum("bij,uj->bui", initial.whitening, law_program.nodes(shape))
     values = carried.map_values(task, index, beats, points)
@@ -126,8 +127,9 @@ def _group_data(task: Task, index: int, shape: Shape, rows: Beats) -> GroupData:
         lower=np.where(usable, task.settings.saturation * lower, -span),
         upper=np.where(usable, task.settings.saturation * upper, span),
         usable=usable,
-        expected=whitened(ground.expected.moment, task.settings.least_expected),
-        noise=whitened(ground.expected.noise, 0.0),
+        expected=whitened(ground.expected.moment),
+        least=np.full(len(rows), task.settings.least_expected),
+        noise=whitened(ground.expected.noise),
         direction=np.broadcast_to(np.eye(len(e)), whitening.shape),
         effort=ground.effort[rows][:, :, c[:, None], c],
     )

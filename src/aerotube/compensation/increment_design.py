@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +101,7 @@ def _data(task: Task, index: int, beats: Beats, ranges: Array) -> tuple[Incremen
 
 
 def _solved(task: Task, shape: Shape, data: IncrementData, names: list[tuple[int, Beats]]) -> tuple[_Found, list[str]]:
-    options = {"backend": task.settings.backend, "deadline": task.deadline, "workers": task.workers}
+    options: dict[str, Any] = {"backend": task.settings.backend, "deadline": task.deadline, "workers": task.workers}
     solution = sos.solve(increment.structure(shape), increment.program_data(shape, data), **options)
     feasible = solution.status == sos.Status.OPTIMAL
     K, rho = solution["K"], solution["rho"]
@@ -128,7 +129,7 @@ def _solved(task: Task, shape: Shape, data: IncrementData, names: list[tuple[int
 
 
 def _physical(shape: Shape, rows: Beats, found: _Found, frame: _Frame, sentences: list[str]) -> PartLaws:
-    unwhitening = np.linalg.inv(frame.whitening)
+    unwhitening = np.asarray(np.linalg.inv(frame.whitening), dtype=np.float64)
     # rho0 units: z'E z <= rho is x' T^-T E T^-1 x rho0 <= rho rho0
     E = np.swapaxes(unwhitening, 1, 2) @ found.E @ unwhitening * frame.rho[:, None, None]
     return PartLaws(

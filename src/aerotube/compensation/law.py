@@ -66,6 +66,9 @@ class LinearLaw:
 class PolynomialLaw:
     """Increments of the virtual controls, polynomial in the error, without a constant term.
 
+    A polynomial that is good on a set may do anything beyond it. There the terms of higher degree are those of the
+    error brought back to the set's boundary, part by part; the linear terms are those of the error itself.
+
     Attributes
     ----------
     coefficients : ndarray (T, 4, M)
@@ -76,12 +79,18 @@ class PolynomialLaw:
         In which the error is measured.
     room : ndarray (T, 4, 2), optional
         As of :class:`LinearLaw`.
+    unwhitening : ndarray (T, 8, 8), optional
+        The law is the polynomial where ``|(unwhitening x)_part| <= 1`` for each part; everywhere without it.
+    parts : tuple of tuple of int
+        Indices of each part's errors.
     """
 
     coefficients: Array
     exponents: NDArray[np.int64]
     coordinates: ErrorCoordinates
     room: Array | None = None
+    unwhitening: Array | None = None
+    parts: tuple[tuple[int, ...], ...] = ()
 
     @property
     def gains(self) -> Array:
@@ -103,23 +112,33 @@ class PolynomialLaw:
             out.append((rows.index(tuple(p - (i == last) for i, p in enumerate(row))), last))
         return out
 
-    def _monomials(self, error: Array) -> Array:
-        """Values (M, ...) of the monomials; the first axis is the monomials', so that each is contiguous."""
+    def _monomials(self, error: Array, z: Array | None) -> Array:
+        """Values (M, ...) of the monomials at errors, and whitened errors, (..., 8).
+
+        The first axis is the monomials', so that each is contiguous.
+        """
         first = np.moveaxis(np.asarray(error, dtype=float), -1, 0)
         table = np.empty((len(self.exponents), *first.shape[1:]))
-        table[:8] = first
+        near = table[:8]
+        near[:] = first
+        if z is not None:
+            for part in map(list, self.parts):
+                near[part] /= np.maximum(np.linalg.norm(z[..., part], axis=-1), 1.0)
         for row, (earlier, last) in enumerate(self._factors, start=8):
             np.multiply(table[earlier], table[last], out=table[row])
+        table[:8] = first
         return table
 
     def increment(self, beat: int, error: Array) -> Array:
         """Increments (..., 4) at a beat, for errors (..., 8); see :meth:`LinearLaw.increment`."""
-        made = np.tensordot(self.coefficients[beat], self._monomials(error), axes=1)
+        z = None if self.unwhitening is None else np.asarray(error) @ self.unwhitening[beat].T
+        made = np.tensordot(self.coefficients[beat], self._monomials(error, z), axes=1)
         return _kept(np.moveaxis(made, 0, -1), None if self.room is None else self.room[beat])
 
     def increments(self, beats: NDArray[np.intp], error: Array) -> Array:
         """Increments (b, ..., 4) at many beats, for errors (b, ..., 8); see :meth:`LinearLaw.increments`."""
-        made = np.einsum("bim,mb...->b...i", self.coefficients[beats], self._monomials(error), optimize=True)
+        z = None if self.unwhitening is None else np.einsum("bij,b...j->b...i", self.unwhitening[beats], error)
+        made = np.einsum("bim,mb...->b...i", self.coefficients[beats], self._monomials(error, z), optimize=True)
         return _each_kept(made, self.room, beats)
 
 
@@ -130,6 +149,7 @@ def assembled(
     chosen: NDArray[np.intp],
     coordinates: ErrorCoordinates,
     room: Array | None = None,
+    unwhitening: Array | None = None,
 ) -> LinearLaw | PolynomialLaw:
     """One law from those of the parts.
 
@@ -144,6 +164,8 @@ def assembled(
     chosen : ndarray (b,) of int
     coordinates : ErrorCoordinates
     room : ndarray (T, 4, 2), optional
+    unwhitening : ndarray (T, 8, 8), optional
+        Where a law of higher degree is the polynomial; see :class:`PolynomialLaw`.
 
     Returns
     -------
@@ -164,7 +186,8 @@ def assembled(
         table[chosen[:, None, None], np.array(controls)[:, None], np.array(column)] = coefficients
     if degree == 1:
         return LinearLaw(table, coordinates, room)
-    return PolynomialLaw(table, np.array(rows, dtype=np.int64), coordinates, room)
+    blocks = tuple(errors for errors, _, _ in parts)
+    return PolynomialLaw(table, np.array(rows, dtype=np.int64), coordinates, room, unwhitening, blocks)
 
 
 def _kept(increment: Array, room: Array | None) -> Array:

@@ -15,12 +15,15 @@ whose columns are orthonormal where no effort is added. What is made small is a 
   :math:`\rho_1 - \varphi^T S \varphi - \hat r^T\hat r - 2\hat r^T O\tilde K \varphi` is a sum of squares on the
   sphere for every extreme :math:`\sigma`, where
   :math:`\begin{bmatrix} S & \tilde K^T \\ \tilde K & I \end{bmatrix} \succeq 0` (exact at an optimum; effort
-  included);
+  included). Noise on the measurement adds :math:`\mathrm{tr}(S V)`, so that with noise it is the worst case over the
+  errors of the mean over the noise;
 * the mean square: :math:`\mathrm{tr}(N M) + \|\tilde K M_\varphi^{1/2}\|^2` such that
   :math:`z^T N z - \hat r^T\hat r - 2\hat r^T O\tilde K\, E_v\varphi(z + v)` is one, with M the second moments of
   the errors to be expected, v the noise on their measurement and :math:`M_\varphi` the second moments of
   :math:`\varphi(z + v)`. The quadratic form N majorises the size on the boundary of the set; for a linear map without
-  offset and a linear law it is exact and the objective is the mean square, otherwise the objective stands in for it;
+  offset and a linear law it is exact and the objective is the mean square, otherwise the objective stands in for it.
+  On a sphere a cubic cannot be told from a multiple of a line: for laws of higher degree all this is asked for in the
+  whole ball, and the form has a constant;
 * the trace or the volume of the terminal ellipsoid itself, see :mod:`aerotube.compensation.joint_shape`.
 
 A law that is reused serves g beats: the programs of one beat are put side by side and share K. Their mean squares add
@@ -78,6 +81,11 @@ class Shape:
     corners: int = 0
 
     @property
+    def domain(self) -> sos.Domain:
+        """Where sizes are bounded: a linear law's are largest on the boundary of the set, others' in all of it."""
+        return sos.Sphere(self.states) if self.law_degree == 1 else sos.Ball(self.states)
+
+    @property
     def monomials(self) -> int:
         """Number M of monomials of the law."""
         return len(monomials.exponents(self.states, self.law_degree))
@@ -89,14 +97,15 @@ def structure(shape: Shape) -> sos.Structure:
     program = sos.Program()
     sizes, M = dict(shape.weights), shape.monomials
     program.matrix("K", (shape.controls, M))
-    domain = sos.Sphere(shape.states)
     if "mean-square" in sizes:
         for s in range(shape.steps):
             program.symmetric(f"N/{s}", shape.states)
+            if shape.law_degree > 1:
+                program.scalar(f"floor/{s}")
         program.scalar("effort")
         program.norm("effort", size=shape.steps * shape.controls * M + 1)
         for j in range(shape.steps * shape.vertices):
-            program.sos(f"mean/{j}", domain, degree=shape.degree)
+            program.sos(f"mean/{j}", shape.domain, degree=shape.degree)
     if "trace" in sizes or "volume" in sizes:
         joint_shape.declare(program, shape)
     if "worst-case" in sizes:
@@ -105,13 +114,13 @@ def structure(shape: Shape) -> sos.Structure:
             program.symmetric(f"S/{s}", M)
             program.lmi(f"effort/{s}", size=M + shape.controls)
         for j in range(shape.steps * shape.vertices):
-            program.sos(f"worst/{j}", domain, degree=shape.degree)
+            program.sos(f"worst/{j}", shape.domain, degree=shape.degree)
     limits.declare(program, shape)
     return program.compile()
 
 
 def nodes(shape: Shape) -> Array:
-    """Points (U, n) of the sphere at which the error map is sampled."""
+    """Points (U, n) of the unit sphere or ball at which the error map is sampled."""
     name = next(c.name for c in structure(shape).constraints if c.kind == "sos")
     return structure(shape).nodes(name)
 
@@ -123,7 +132,7 @@ class GroupData:
     Attributes
     ----------
     map_values : ndarray (b, g, k, U, n)
-        Errors at the end of the beats without compensation, at the nodes of the sphere, for every extreme
+        Errors at the end of the beats without compensation, at the nodes, for every extreme
         parameter value.
     input_map : ndarray (b, g, k, n, m)
         Their derivatives with respect to the virtual controls.
@@ -143,6 +152,8 @@ class GroupData:
         Controls that have room; the others' ``input_map`` is zero.
     expected : ndarray (b, g, n, n)
         Mean of ``z z'``: which errors are to be expected (mean square only).
+    least : ndarray (b,)
+        Share of errors spread evenly over the set, that are expected besides.
     noise : ndarray (b, g, n, n)
         Covariance of the measurement noise, whitened like the error.
     direction : ndarray (b, g, n, n)
@@ -162,6 +173,7 @@ class GroupData:
     upper: Array
     usable: NDArray[np.bool_]
     expected: Array
+    least: Array
     noise: Array
     direction: Array
     effort: Array
@@ -263,18 +275,26 @@ def _mean_square(
     K, t = compiled.variable("K"), compiled.variable("effort")
     constant, linear = _cross_terms(compiled, scaling, monomials.under_noise(points, heard, shape.law_degree))
     constraints: dict[str, tuple[Array, ...]] = {}
-    quadratic = quadratic_forms(nodes(shape))
+    even = np.eye(shape.states) / shape.states
     for s in range(shape.steps):
         N = compiled.variable(f"N/{s}")
-        linear[:, s, ..., N.slice] = quadratic
-        objective[:, N.slice] += weight * inner_product(data.expected[:, s])
+        linear[:, s, ..., N.slice] = quadratic_forms(nodes(shape))
+        objective[:, N.slice] += weight * inner_product(data.expected[:, s] + data.least[:, None, None] * even)
+        if shape.law_degree > 1:
+            floor = compiled.variable(f"floor/{s}").index
+            linear[:, s, ..., floor] = 1.0
+            objective[:, floor] += weight
     for j in range(shape.steps * shape.vertices):
         s, v = divmod(j, shape.vertices)
         constraints[f"mean/{j}"] = (constant[:, s, v], linear[:, s, v])
     objective[:, t.index] += weight
     # t >= |y|^2 is |(2 y, t - 1)| <= t + 1, with y the entries of L K~ C in every beat, C C' the law's moments
     met = data.turn @ (data.expected + data.noise) @ np.swapaxes(data.turn, -1, -2)
-    factor = _cholesky(monomials.moments(met, shape.law_degree))
+    spread = data.turn @ even @ np.swapaxes(data.turn, -1, -2)
+    # spread evenly, products of errors are expected too: their moments would vanish with those of small errors
+    moments = monomials.moments(met, shape.law_degree)
+    moments = moments + data.least[:, None, None, None] * monomials.moments(spread, shape.law_degree)
+    factor = _cholesky(moments)
     m, M = K.shape
     rows = np.zeros((len(objective), shape.steps * m * M + 1, compiled.size))
     own = 2.0 * np.einsum("bgai,bgjc->bgacij", scaling.root, factor)
@@ -298,11 +318,13 @@ def _worst_case(
     table = monomials.values(points, monomials.exponents(shape.states, shape.law_degree))
     constant, linear = _cross_terms(compiled, scaling, table)
     rho, K = compiled.variable("rho"), compiled.variable("K")
+    heard = monomials.moments(data.turn @ data.noise @ np.swapaxes(data.turn, -1, -2), shape.law_degree)
     objective[:, rho.index] += weight
     linear[..., rho.index] = 1.0
     constraints: dict[str, tuple[Array, ...]] = {}
     for s in range(shape.steps):
         S = compiled.variable(f"S/{s}")
+        objective[:, S.slice] += weight / shape.steps * inner_product(heard[:, s])
         linear[:, s, ..., S.slice] = -quadratic_forms(table[:, s])[:, None]
         constraints[f"effort/{s}"] = _effort(compiled.size, S, K, scaling.root[:, s])
     for j in range(shape.steps * shape.vertices):

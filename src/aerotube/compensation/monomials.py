@@ -115,6 +115,12 @@ def moments(covariance: Array, degree: int) -> Array:
     return np.asarray(np.swapaxes(table * weights[:, None], -1, -2) @ table)
 
 
+def _root(covariance: Array) -> Array:
+    n = covariance.shape[-1]
+    least = 1e-14 * np.trace(covariance, axis1=-2, axis2=-1)[..., None, None] * np.eye(n)
+    return np.linalg.cholesky(covariance + least)
+
+
 @lru_cache(maxsize=32)
 def _places(variables: int, degree: int) -> list[tuple[slice, IntArray, IntArray]]:
     """For each degree: its rows, the sorted multi-index of each row, and the row of each multi-index."""
