@@ -153,7 +153,7 @@ class Draws(_Section):
         return tuple(range(self.first_seed, self.first_seed + self.seeds))
 
 
-_SIZES = ("mean-square", "worst-case")
+_SIZES = ("mean-square", "worst-case", "trace", "volume")
 
 
 def _size(value: Any) -> Any:
@@ -190,6 +190,11 @@ class Setting(_Section):
     degree: int | None = Field(default=None, ge=2, multiple_of=2)
     law_degree: int | None = Field(default=None, ge=1, le=3)
     reuse: int | None = Field(default=None, ge=0)
+    formulation: Literal["exact-map", "increment"] | None = None
+    steps: Literal["two-step", "three-step"] | None = None
+    terminal: Literal["volume", "trace", "rho"] | None = None
+    saturation: float | None = Field(default=None, ge=1.0)
+    rate_limits: list[Annotated[float, Field(gt=0.0)]] | None = Field(default=None, min_length=4, max_length=4)
 
 
 class Synthesis(Setting):

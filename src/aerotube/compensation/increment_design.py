@@ -92,7 +92,7 @@ def _data(task: Task, index: int, beats: Beats, ranges: Array) -> tuple[Incremen
     T, rho = initial.whitening, initial.rho
     data = IncrementData(
         increment=increment.sampled(task.aircraft, nominal, beats, ground.coordinates, part, ranges, T),
-        input_map=np.linalg.solve(T, ground.linear.B[beats][:, e[:, None], c] * span[:, None]),
+        input_map=np.asarray(np.linalg.solve(T, ground.linear.B[beats][:, e[:, None], c] * span[:, None]), dtype=float),
         terminal=np.swapaxes(T, 1, 2) @ terminal @ T / rho[:, None, None],
         room_below=np.maximum(-lower / span, 0.0),
         room_above=np.maximum(upper / span, 0.0),

@@ -275,11 +275,15 @@ def _mean_square(
     K, t = compiled.variable("K"), compiled.variable("effort")
     constant, linear = _cross_terms(compiled, scaling, monomials.under_noise(points, heard, shape.law_degree))
     constraints: dict[str, tuple[Array, ...]] = {}
-    even = np.eye(shape.states) / shape.states
+    even = data.least[:, None, None, None] * np.eye(shape.states) / shape.states
+    common = np.ones(data.expected.shape[:2])
+    if shape.law_degree > 1:
+        # errors larger than the ball would let the form fall and its constant rise without end: their share is cut
+        common = 0.5 / np.maximum(np.trace(data.expected + even, axis1=2, axis2=3), 0.5)
     for s in range(shape.steps):
         N = compiled.variable(f"N/{s}")
         linear[:, s, ..., N.slice] = quadratic_forms(nodes(shape))
-        objective[:, N.slice] += weight * inner_product(data.expected[:, s] + data.least[:, None, None] * even)
+        objective[:, N.slice] += weight * inner_product(common[:, s, None, None] * (data.expected + even)[:, s])
         if shape.law_degree > 1:
             floor = compiled.variable(f"floor/{s}").index
             linear[:, s, ..., floor] = 1.0
@@ -290,11 +294,11 @@ def _mean_square(
     objective[:, t.index] += weight
     # t >= |y|^2 is |(2 y, t - 1)| <= t + 1, with y the entries of L K~ C in every beat, C C' the law's moments
     met = data.turn @ (data.expected + data.noise) @ np.swapaxes(data.turn, -1, -2)
-    spread = data.turn @ even @ np.swapaxes(data.turn, -1, -2)
+    spread = data.turn @ (np.eye(shape.states) / shape.states) @ np.swapaxes(data.turn, -1, -2)
     # spread evenly, products of errors are expected too: their moments would vanish with those of small errors
     moments = monomials.moments(met, shape.law_degree)
     moments = moments + data.least[:, None, None, None] * monomials.moments(spread, shape.law_degree)
-    factor = _cholesky(moments)
+    factor = _cholesky(common[..., None, None] * moments)
     m, M = K.shape
     rows = np.zeros((len(objective), shape.steps * m * M + 1, compiled.size))
     own = 2.0 * np.einsum("bgai,bgjc->bgacij", scaling.root, factor)
