@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from aerotube.aircraft.base import Aircraft
 from aerotube.compensation import exact_map
 from aerotube.compensation.closed_loop import end_errors
-from aerotube.compensation.exact_design import design_groups
+from aerotube.compensation.exact_design import design_groups, measurement_box
 from aerotube.compensation.groundwork import Groundwork, groundwork, taken
 from aerotube.compensation.groundwork import available_increments as available_increments
 from aerotube.compensation.increment_design import design_increments
@@ -242,6 +242,7 @@ def _reach(task: Task) -> Array:
     out = np.zeros((task.nominal.beats, 8, 8))
     for part, ground in zip(task.settings.parts, task.ground.parts, strict=True):
         e = np.array(part.errors)
-        growth = (task.ground.seen[:, e] / ground.initial.widths).max(-1)
+        box = measurement_box(task, part, np.arange(task.nominal.beats))
+        growth = np.maximum((task.ground.seen[:, e] / ground.initial.widths).max(-1), ground.initial.seen_growth(box))
         out[:, e[:, None], e] = np.linalg.inv(ground.initial.whitening) / growth[:, None, None]
     return out

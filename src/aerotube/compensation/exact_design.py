@@ -72,7 +72,7 @@ def _shape(task: Task, index: int, rows: Beats) -> Shape:
     )
 
 
-def _measurement(task: Task, part: Part, beats: Beats) -> Array:
+def measurement_box(task: Task, part: Part, beats: Beats) -> Array:
     """Half-widths of the box of a part's measurement errors: ndarray (b, n)."""
     share, errors = task.settings.measurement_error, list(part.errors)
     if share == 0.0:
@@ -84,7 +84,7 @@ def _measurement(task: Task, part: Part, beats: Beats) -> Array:
 def _corners(task: Task, index: int, beats: Beats) -> Array:
     """Corners of the set of a part's measured errors: ndarray (b, k, n)."""
     initial = taken(task.ground.parts[index].initial, beats)
-    return initial.seen_corners(_measurement(task, task.settings.parts[index], beats))
+    return initial.seen_corners(measurement_box(task, task.settings.parts[index], beats))
 
 
 def _group_data(task: Task, index: int, shape: Shape, rows: Beats) -> GroupData:
@@ -111,7 +111,7 @@ def _group_data(task: Task, index: int, shape: Shape, rows: Beats) -> GroupData:
     turn = np.linalg.norm(np.linalg.inv(whitening[:, :1]) @ whitening, 2, axis=(-2, -1))
     growth = (seen / widths).max(-1)
     if not isinstance(task.disturbance, DisturbanceBox):
-        growth = initial.seen_growth(_measurement(task, part, beats)).reshape(lead)
+        growth = initial.seen_growth(measurement_box(task, part, beats)).reshape(lead)
     corners = np.zeros((len(rows), 0, len(e)))
     if shape.corners:
         corners = _corners(task, index, beats).reshape(len(rows), -1, len(e))
