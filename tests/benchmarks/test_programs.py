@@ -54,7 +54,7 @@ def test_the_table_has_the_sizes_of_the_literature() -> None:
 
 
 def test_the_paper_tube_is_the_increment_of_the_flown_step() -> None:
-    """At no compensation and no terminal shape, rho - f/2 is z' T^-1 (x+ - x) with the true step, but for its fourth order."""
+    """At no compensation and no terminal shape, rho - f/2 is z' T^-1 (x+ - x) with the true step, to third order."""
     program = made("lon-paper")
     tube = program.constraints[0]
     assert isinstance(tube, Sos)

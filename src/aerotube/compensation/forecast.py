@@ -145,8 +145,8 @@ def _backward(
         if heard.any():
             seen = moment[:beats][own]
             guess[own] = np.swapaxes(np.linalg.solve(seen + heard, seen), 1, 2)
-    matrices = (np.ascontiguousarray(values) for values in (linear.A, linear.B, weights, effort, guess))
-    _recur(*matrices, errors, controls, cost, gain)
+    A, B, weights, effort, guess = map(np.ascontiguousarray, (linear.A, linear.B, weights, effort, guess))
+    _recur(A, B, weights, effort, guess, errors, controls, cost, gain)
     return cost, gain
 
 
