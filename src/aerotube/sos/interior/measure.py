@@ -87,7 +87,7 @@ from aerotube.sos.interior.state import (
     values,
 )  # fmt: skip
 
-SURE_BELOW, EXTRA_MOST = 0.5, 4
+SURE_BELOW, EXTRA_MOST = 0.5, 8
 ROUNDING = 1e-16
 """Of values at the nodes, relative to the size of a constraint."""
 RAY_TOLERANCE = 1e-12
