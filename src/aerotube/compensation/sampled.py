@@ -35,7 +35,7 @@ Mask = NDArray[np.bool_]
 
 #: What the largest size found is multiplied by, in the metric of a tube and in its terminal ellipsoid, which may be a
 #: sliver in which only what is not linear is seen.
-FACTOR, TERMINAL_FACTOR = 1.003, 1.03
+FACTOR, TERMINAL_FACTOR = 1.003, 1.1
 _LOCAL = 0.05  # length of a finite difference
 _LOCAL_STEPS = 2
 
@@ -54,6 +54,8 @@ class _Effort:
         Ends of climbs that are flown.
     refinements : int
         Climbs along local slopes of the true map, from the worst of these.
+    climbers : int
+        Points that climb so at the same time; a map with kinks has several local maxima.
     """
 
     samples: int
@@ -61,10 +63,11 @@ class _Effort:
     steps: int
     flown: int
     refinements: int
+    climbers: int
 
 
 #: For the shares, which only say how a bound is made up; for the bound; and for terminal ellipsoids.
-QUICK, USUAL, THOROUGH = _Effort(4, 2, 6, 2, 0), _Effort(6, 3, 8, 8, 2), _Effort(20, 3, 16, 8, 2)
+QUICK, USUAL, THOROUGH = _Effort(4, 2, 6, 2, 0, 1), _Effort(6, 3, 8, 8, 2, 1), _Effort(20, 3, 16, 8, 4, 8)
 
 
 @dataclass(frozen=True)
@@ -203,13 +206,11 @@ class Search:
         if free.all():
             found.take(np.take_along_axis(sizes, best, axis=1), worst)
         points = self._worst_of_fit(worst, own, free, form, effort)
-        found.take(_sizes(self.fly(points)[..., own], form), points)
-        for _ in range(effort.refinements):
-            end, slopes = self._local(found.point, own, free)
-            for _ in range(_LOCAL_STEPS):
-                ahead = support(self.over, end @ form @ slopes)
-                end = self.fly(ahead)[..., own]
-                found.take(_sizes(end, form), ahead)
+        values = _sizes(self.fly(points)[..., own], form)
+        found.take(values, points)
+        if effort.refinements:
+            starts = np.concatenate([found.point[:, None], points, worst], axis=1)[:, : 2 * effort.climbers - 1]
+            self._climb(found, starts, own, free, form, effort)
         value = np.where(self.sound, found.value, np.inf)
         return value, found.point
 
@@ -236,19 +237,32 @@ class Search:
         best = np.argsort(-_sizes(ends, form), axis=1)[:, : effort.flown]
         return np.asarray(np.take_along_axis(points, best[..., None], axis=1))
 
-    def _local(self, point: Array, own: list[int], free: Mask) -> tuple[Array, Array]:
-        """Values (b, 1, n) and slopes (b, n, k), over short steps inwards, of the map at points (b, k).
+    def _climb(self, found: _Best, points: Array, own: list[int], free: Mask, form: Array, effort: _Effort) -> None:
+        """Climb from points (b, s, k) along local slopes of the true map."""
+        for _ in range(effort.refinements):
+            end, slopes = self._local(points, own, free, free if effort.climbers > 1 else free & self.curved)
+            best = _sizes(end, form)
+            for _ in range(_LOCAL_STEPS):
+                ahead = support(self.over, np.einsum("bsn,bnm,bsmk->bsk", end, form, slopes, optimize=True))
+                end = self.fly(ahead)[..., own]
+                values = _sizes(end, form)
+                found.take(values, ahead)
+                points = np.where((values > best)[..., None], ahead, points)
+                best = np.maximum(values, best)
 
-        Those in measurement errors and wind, nearly linear, are the fitted ones.
+    def _local(self, points: Array, own: list[int], free: Mask, differenced: Mask) -> tuple[Array, Array]:
+        """Values (b, s, n) and slopes (b, s, n, k), over short steps inwards, of the map at points (b, s, k).
+
+        In variables that are not differenced they are the fitted ones.
         """
-        axes = np.flatnonzero(free & self.curved)
-        reach = np.where(point > 0.0, -_LOCAL, _LOCAL)[:, axes]
-        moved = np.repeat(point[:, None], len(axes) + 1, axis=1)
-        moved[:, np.arange(len(axes)), axes] += reach
-        ends = self.fly(moved)[..., own]
-        slopes = self.slopes[:, own] * free
-        slopes[:, :, axes] = np.swapaxes((ends[:, :-1] - ends[:, -1:]) / reach[..., None], 1, 2)
-        return ends[:, -1:], slopes
+        axes = np.flatnonzero(differenced)
+        reach = np.where(points > 0.0, -_LOCAL, _LOCAL)[..., axes]
+        moved = np.repeat(points[:, :, None], len(axes) + 1, axis=2)
+        moved[:, :, np.arange(len(axes)), axes] += reach
+        ends = self.fly(moved.reshape(self.beats, -1, self.size)).reshape(*moved.shape[:3], 8)[..., own]
+        slopes = np.repeat((self.slopes[:, own] * free)[:, None], points.shape[1], axis=1)
+        slopes[..., axes] = np.swapaxes((ends[:, :, :-1] - ends[:, :, -1:]) / reach[..., None], 2, 3)
+        return ends[:, :, -1], slopes
 
 
 class _Best:
