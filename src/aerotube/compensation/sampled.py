@@ -34,8 +34,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 #: What the largest size found is multiplied by, in the metric of a tube and in its terminal ellipsoid, which may be a
-#: sliver in which only what is not linear is seen.
-FACTOR, TERMINAL_FACTOR = 1.003, 1.1
+#: sliver in which only what is not linear is seen. A search of a million points a beat on the manoeuvre of Table 2 went
+#: 0.6 and 4 percent beyond what was found here, at the most; these are about twice as much.
+FACTOR, TERMINAL_FACTOR = 1.01, 1.1
 _LOCAL = 0.05  # length of a finite difference
 _LOCAL_STEPS = 2
 
