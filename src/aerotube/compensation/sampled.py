@@ -68,7 +68,7 @@ class _Effort:
 
 
 #: For the shares, which only say how a bound is made up; for the bound; and for terminal ellipsoids.
-QUICK, USUAL, THOROUGH = _Effort(4, 2, 6, 2, 0, 1), _Effort(6, 3, 8, 8, 2, 1), _Effort(20, 3, 16, 8, 4, 8)
+QUICK, USUAL, THOROUGH = _Effort(4, 2, 6, 2, 0, 1), _Effort(6, 3, 8, 8, 2, 1), _Effort(20, 3, 16, 8, 2, 2)
 
 
 @dataclass(frozen=True)
