@@ -32,9 +32,6 @@ _dtrsm = _bind("cython_blas", "dtrsm", 11)
 _dtrsv = _bind("cython_blas", "dtrsv", 8)
 _dpotrf = _bind("cython_lapack", "dpotrf", 5)
 
-BLOCK = 64
-"""Columns that are factored at a time."""
-
 _U, _L, _N, _T, _R = (np.uint8(ord(letter)) for letter in "ULNTR")
 
 
@@ -65,14 +62,6 @@ def gram_lower(a, out, beta):  # type: ignore[no-untyped-def]
     keep_apart()
     n, k, one = np.int32(a.shape[0]), np.int32(a.shape[1]), 1.0
     _dsyrk(_ref(_U), _ref(_T), _ref(n), _ref(k), _ref(one), _data(a), _ref(k), _ref(beta), _data(out), _ref(n))
-
-
-@inner
-def inner_lower(a, out):  # type: ignore[no-untyped-def]
-    """Lower triangle of out = a' a; a (n, k), out (k, k)."""
-    keep_apart()
-    n, k, one, zero = np.int32(a.shape[0]), np.int32(a.shape[1]), 1.0, 0.0
-    _dsyrk(_ref(_U), _ref(_N), _ref(k), _ref(n), _ref(one), _data(a), _ref(k), _ref(zero), _data(out), _ref(k))
 
 
 @inner
@@ -142,63 +131,18 @@ def cholesky(a):  # type: ignore[no-untyped-def]
 
 
 @inner
-def factor_beside(a, beside):  # type: ignore[no-untyped-def]
-    """Overwrite the lower triangle of a (n, n) by its factor L and beside (k, n) by beside L^-T; False if that fails.
+def subtract_rows(a, at, row, begin, end, columns):  # type: ignore[no-untyped-def]
+    """Subtract from rows begin..end, right of column `begin`, what the rows above take from them.
 
-    Block column by block column, so that nearly all is done by matrix products, which are the fastest.
+    Rows of a start at `at` and are `row` numbers apart: a[begin:end] -= a[:begin, begin:end]' a[:begin].
     """
     keep_apart()
-    n, k, one, minus = a.shape[0], np.int32(beside.shape[0]), 1.0, -1.0
-    wide, info = np.int32(n), np.empty(1, np.int32)
-    flat, other = a.reshape(n * n), beside.reshape(beside.shape[0] * n)
-    for j in range(0, n, BLOCK):
-        order = np.int32(min(BLOCK, n - j))
-        before, left = np.int32(j), np.int32(n - j)
-        below = np.int32(n - j - order)
-        corner = flat[j * n + j :]
-        if j > 0:
-            across = flat[j * n :]
-            _dgemm(
-                _ref(_T), _ref(_N), _ref(order), _ref(left), _ref(before), _ref(minus), _data(across), _ref(wide),
-                _data(across), _ref(wide), _ref(one), _data(corner), _ref(wide),
-            )  # fmt: skip
-            _dgemm(
-                _ref(_T), _ref(_N), _ref(order), _ref(k), _ref(before), _ref(minus), _data(across), _ref(wide),
-                _data(other), _ref(wide), _ref(one), _data(other[j:]), _ref(wide),
-            )  # fmt: skip
-        info[0] = 0
-        _dpotrf(_ref(_U), _ref(order), _data(corner), _ref(wide), _data(info))
-        if info[0] != 0:
-            return False
-        if below > 0:
-            _dtrsm(
-                _ref(_L), _ref(_U), _ref(_T), _ref(_N), _ref(order), _ref(below), _ref(one), _data(corner), _ref(wide),
-                _data(flat[(j + order) * n + j :]), _ref(wide),
-            )  # fmt: skip
-        _dtrsm(
-            _ref(_L), _ref(_U), _ref(_T), _ref(_N), _ref(order), _ref(k), _ref(one), _data(corner), _ref(wide),
-            _data(other[j:]), _ref(wide),
-        )  # fmt: skip
-    return True
-
-
-@inner
-def solve_lower(factor, b):  # type: ignore[no-untyped-def]
-    """Overwrite b (n, k) by L^-1 b."""
-    keep_apart()
-    n, k, one = np.int32(b.shape[0]), np.int32(b.shape[1]), 1.0
-    _dtrsm(
-        _ref(_R), _ref(_U), _ref(_N), _ref(_N), _ref(k), _ref(n), _ref(one), _data(factor), _ref(n), _data(b), _ref(k)
-    )  # fmt: skip
-
-
-@inner
-def divide_by_factor(factor, b):  # type: ignore[no-untyped-def]
-    """Overwrite b (n, k) by b L^-T, L (k, k)."""
-    keep_apart()
-    n, k, one = np.int32(b.shape[0]), np.int32(b.shape[1]), 1.0
-    _dtrsm(
-        _ref(_L), _ref(_U), _ref(_T), _ref(_N), _ref(k), _ref(n), _ref(one), _data(factor), _ref(k), _data(b), _ref(k)
+    m, n, k = np.int32(columns - begin), np.int32(end - begin), np.int32(begin)
+    wide, one, minus = np.int32(row), 1.0, -1.0
+    above, out = a[at + begin :], a[at + begin * row + begin :]
+    _dgemm(
+        _ref(_N), _ref(_T), _ref(m), _ref(n), _ref(k), _ref(minus), _data(above), _ref(wide), _data(above), _ref(wide),
+        _ref(one), _data(out), _ref(wide),
     )  # fmt: skip
 
 
@@ -216,3 +160,19 @@ def solve_upper_vector(factor, x):  # type: ignore[no-untyped-def]
     keep_apart()
     n, step = np.int32(x.shape[0]), np.int32(1)
     _dtrsv(_ref(_U), _ref(_N), _ref(_N), _ref(n), _data(factor), _ref(n), _data(x), _ref(step))
+
+
+@inner
+def divide_by_transpose(a, row, x):  # type: ignore[no-untyped-def]
+    """Overwrite x by R'^-1 x, R an upper triangle in a flat array with rows `row` numbers apart."""
+    keep_apart()
+    n, wide, step = np.int32(x.shape[0]), np.int32(row), np.int32(1)
+    _dtrsv(_ref(_L), _ref(_N), _ref(_N), _ref(n), _data(a), _ref(wide), _data(x), _ref(step))
+
+
+@inner
+def divide(a, row, x):  # type: ignore[no-untyped-def]
+    """Overwrite x by R^-1 x."""
+    keep_apart()
+    n, wide, step = np.int32(x.shape[0]), np.int32(row), np.int32(1)
+    _dtrsv(_ref(_L), _ref(_T), _ref(_N), _ref(n), _data(a), _ref(wide), _data(x), _ref(step))

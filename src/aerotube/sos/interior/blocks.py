@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from aerotube.sos.interior import blas, small
+from aerotube.sos.interior import blas, small, tiles
 from aerotube.sos.interior.compiled import inner, keep_apart
 
 
@@ -32,17 +32,22 @@ def moment_matrix(p, g, y, out, tall):  # type: ignore[no-untyped-def]
 
 
 @inner
-def add_values(p, g, gram, factor, out, tall):  # type: ignore[no-untyped-def]
-    """out_u += factor * g_u p_u' gram p_u; tall is scratch (U, N)."""
+def add_products(left, right, g, factor, out):  # type: ignore[no-untyped-def]
+    """out_u += factor * g_u sum_k left_ku right_ku."""
     keep_apart()
-    rows, n = p.shape
     plain = g.shape[0] == 0
-    blas.multiply(p, gram, tall)
-    for u in range(rows):
-        total = 0.0
-        for j in range(n):
-            total += tall[u, j] * p[u, j]
-        out[u] += factor * total if plain else factor * total * g[u]
+    for k in range(left.shape[0]):
+        for u in range(out.shape[0]):
+            weight = factor if plain else factor * g[u]
+            out[u] += weight * left[k, u] * right[k, u]
+
+
+@inner
+def add_values(turned, g, gram, factor, out, wide):  # type: ignore[no-untyped-def]
+    """out_u += factor * g_u p_u' gram p_u; turned is P', wide is scratch of its shape."""
+    keep_apart()
+    blas.multiply(gram, turned, wide)
+    add_products(wide, turned, g, factor, out)
 
 
 @inner
@@ -72,35 +77,24 @@ def factor_pair(Q, Z, LQ, LZ, inverse, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def add_schur(p, g, pq, LZ, begin, M, K1, K2, tall, k2):  # type: ignore[no-untyped-def]
-    """Add (or, at `begin`, set) a block's Schur complement in the lower triangle of M; pq is P L_Q.
+def add_schur(turned, g, wide_q, LZ, begin, system, at, row, k2, room):  # type: ignore[no-untyped-def]
+    """Add (or, at `begin`, set) a block's Schur complement in the upper tiles of a system.
 
-    Also adds to k2 the values of g p'Z^-1 p. K1, K2 (U, U) and tall (U, N) are scratch.
+    The system lies from `at` on in a flat array, its rows `row` numbers apart; wide_q is (P L_Q)'. Also adds to k2 the
+    values of g p'Z^-1 p. room is scratch.
     """
     keep_apart()
-    rows = p.shape[0]
-    small.copy_matrix(p, tall)
-    blas.divide_by_factor(LZ, tall)
-    for u in range(rows):
-        total = 0.0
-        for k in range(tall.shape[1]):
-            total += tall[u, k] * tall[u, k]
-        weight = 1.0 if g.shape[0] == 0 else g[u]
-        k2[u] += weight * total
-        if g.shape[0] > 0:
-            for k in range(tall.shape[1]):
-                tall[u, k] *= weight
-    blas.gram_lower(tall, K2, 0.0)
-    if begin:
-        blas.gram_lower(pq, M, 0.0)
-        for u in range(rows):
-            for v in range(u + 1):
-                M[u, v] *= K2[u, v]
-    else:
-        blas.gram_lower(pq, K1, 0.0)
-        for u in range(rows):
-            for v in range(u + 1):
-                M[u, v] += K1[u, v] * K2[u, v]
+    n, wide = turned.shape
+    inverse = room[: n * n].reshape((n, n))
+    wide_z = room[n * n : n * (n + wide)].reshape((n, wide))
+    small.invert_factor(LZ, inverse)
+    blas.multiply(inverse, turned, wide_z)
+    add_products(wide_z, wide_z, g, 1.0, k2)
+    if g.shape[0] > 0:
+        for k in range(n):
+            for u in range(g.shape[0]):
+                wide_z[k, u] *= g[u]
+    tiles.gram_product(wide_q.reshape(n * wide), 0, room, n * n, wide, n, wide, system, at, row, begin)
 
 
 @inner

@@ -56,9 +56,11 @@ from aerotube.sos.interior.layout import (
     part,
     rows_of,
     tall_of,
+    turned_of,
     weights_of,
+    wide_of,
 )  # fmt: skip
-from aerotube.sos.interior.schur import factor_of
+from aerotube.sos.interior.schur import divide, divide_by_transpose
 from aerotube.sos.interior.state import (
     BETA_OMEGA,
     GAP_RESIDUAL,
@@ -121,11 +123,11 @@ def sampled_side(lay, st, i, center, eta, second):  # type: ignore[no-untyped-de
         if second == 1:
             for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
                 blocks.add_values(
-                    rows_of(lay, b), weights_of(lay, b), block(lay, st, DZ, b), 1.0, a, tall_of(lay, st, TALL, b)
+                    turned_of(lay, b), weights_of(lay, b), block(lay, st, DZ, b), 1.0, a, wide_of(lay, st, TALL, b)
                 )
-        blas.solve_lower_vector(factor_of(lay, st, i), a)
+        divide_by_transpose(lay, st, i, a)
     known = gather(lay, st, i, D, numbers(lay, st)[TAU])
-    blas.transposed_times_vector(compact(lay, st, V, i), known, a, -1.0, 1.0)
+    blas.times_vector(compact(lay, st, V, i), known, a, -1.0, 1.0)
 
 
 @inner
@@ -198,10 +200,7 @@ def eliminate(lay, st, eta, tau_side):  # type: ignore[no-untyped-def]
 def subtract_scaled(lay, st, i, dtau, out):  # type: ignore[no-untyped-def]
     """Subtract from out V_i (dd, dtau)."""
     scaled, known = compact(lay, st, V, i), gather(lay, st, i, DD, dtau)
-    if lay.con[KIND, i] == SOS:
-        blas.transposed_times_vector(scaled, known, out, -1.0, 1.0)
-    else:
-        blas.times_vector(scaled, known, out, -1.0, 1.0)
+    blas.times_vector(scaled, known, out, -1.0, 1.0)
 
 
 @inner
@@ -216,7 +215,7 @@ def recover_vectors(lay, st, i, dtau, eta):  # type: ignore[no-untyped-def]
     subtract_scaled(lay, st, i, dtau, a)
     if kind == SOS:
         small.copy(a, dy)
-        blas.solve_upper_vector(factor_of(lay, st, i), dy)
+        divide(lay, st, i, dy)
         return
     if kind == NORM:
         cones.apply(part(lay, st, W, i), root[0], a, dy, cones.INVERSE)
@@ -289,8 +288,8 @@ def leftover(lay, st, dtau, eta):  # type: ignore[no-untyped-def]
         for u in range(rest.shape[0]):
             rest[u] = -rest[u] - eta * residual[u]
         for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
-            dQ, tall = block(lay, st, DQ, b), tall_of(lay, st, TALL, b)
-            blocks.add_values(rows_of(lay, b), weights_of(lay, b), dQ, 1.0, rest, tall)
+            dQ, wide = block(lay, st, DQ, b), wide_of(lay, st, TALL, b)
+            blocks.add_values(turned_of(lay, b), weights_of(lay, b), dQ, 1.0, rest, wide)
         worst = max(worst, small.largest(rest))
     return worst
 
@@ -307,7 +306,7 @@ def refine(lay, st, dtau, eta):  # type: ignore[no-untyped-def]
     rhs[:] = 0.0
     for i in range(lay.con.shape[1]):
         if lay.con[KIND, i] == SOS:
-            blas.solve_lower_vector(factor_of(lay, st, i), part(lay, st, A, i))
+            divide_by_transpose(lay, st, i, part(lay, st, A, i))
             add_adjoint(lay, st, V, i, part(lay, st, A, i), rhs)
     small.copy(dd, kept)
     small.copy(rhs, dd)
@@ -329,7 +328,7 @@ def refine_part(lay, st, i):  # type: ignore[no-untyped-def]
         a, dy, root = part(lay, st, A, i), part(lay, st, DY, i), part(lay, st, ROOT, i)
         subtract_scaled(lay, st, i, zero, a)
         if kind == SOS:
-            blas.solve_upper_vector(factor_of(lay, st, i), a)
+            divide(lay, st, i, a)
             small.add(dy, 1.0, a)
         else:
             change = scratch(lay, st, SCRATCH, a.shape[0])
@@ -347,7 +346,7 @@ def refine_part(lay, st, i):  # type: ignore[no-untyped-def]
         product = matrix_at(st.heap, lay.at[SCRATCH] + n * n, n, n)
         if kind == SOS:
             functional = part(lay, st, A, i)
-            blocks.moment_matrix(rows_of(lay, b), weights_of(lay, b), functional, target, tall_of(lay, st, TALL, b))
+            blocks.moment_matrix(rows_of(lay, b), weights_of(lay, b), functional, target, tall_of(lay, st, b))
             blas.multiply(target, block(lay, st, INVERSE, b), product)
             blocks.symmetric_product(block(lay, st, Q, b), product, -1.0, block(lay, st, DQ, b), room)
             start = lay.at[SCRATCH] + n * n

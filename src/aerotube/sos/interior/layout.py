@@ -17,6 +17,7 @@ from aerotube.sos.basis import sampling
 from aerotube.sos.certificate import normal_inverse
 from aerotube.sos.domain import Array
 from aerotube.sos.interior.compiled import inner
+from aerotube.sos.interior.tiles import padded
 from aerotube.sos.program import Constraint, Data, Structure
 
 SOS, LMI, NORM, LINEAR = np.arange(4)
@@ -28,7 +29,7 @@ Ints = NDArray[np.int64]
 # Rows of Layout.con, one column for each constraint.
 KIND, ROWS, VECTOR, FIRST, LAST, COMPACT, FACTOR_AT, FLAT, GROUP, TARGET, FOLD = np.arange(11)
 # Rows of Layout.blk, one column for each matrix block (Gram matrix or matrix inequality).
-ORDER, MATRIX, BASIS, WEIGHT, OWNER = np.arange(5)
+ORDER, MATRIX, BASIS, WEIGHT, OWNER, TURNED = np.arange(6)
 # Matrix storages: one entry for each entry of each block.
 Q, Z, LQ, LZ, INVERSE, DQ, DZ, E, T, MISFIT, BEST_Q, KEPT_DQ, KEPT_DZ, SCALE, BACK, SURE_Q = np.arange(16)
 # Vector storages: one entry for each node, cone entry and linear row.
@@ -36,11 +37,11 @@ Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y, KEPT_DY, KEPT_DS, SURE_Y = np.ar
 # Decision storages, (m + 1) entries.
 D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D, KEPT_DD, SURE_D = np.arange(29, 39)
 # The rest: data, factors, scratch.
-G, V, FACTOR, ROOM, TALL, TALLQ, SCRATCH, SHORT = np.arange(39, 47)
+G, V, FACTOR, ROOM, TALL, WIDEQ, SCRATCH, SHORT = np.arange(39, 47)
 SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = np.arange(47, 53)
 # Sizes.
-M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, SPACE, FLATS = np.arange(53, 61)
-_COUNT = 61
+M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, SPACE, FLATS, TURNS = np.arange(53, 62)
+_COUNT = 62
 
 
 class Layout(NamedTuple):
@@ -50,14 +51,15 @@ class Layout(NamedTuple):
     ----------
     con : (11, constraints)
         Kind; rows (U, order, 1 + k, rows); offset in vector storage; first and last + 1 block; offset of its data
-        (width x U, width x k^2, or rows x width); offset of its Schur factor; offset in a program's flat data; first
+        (rows x width, or width x k^2 of a matrix inequality); offset of its Schur factor; offset in a program's flat data; first
         row scale (one for all rows, but one for each linear row); places in `numbers` of its log-determinant factor
         and of the norm of the map from values at the nodes to the least changes of Gram matrices that make them.
-    blk : (5, blocks)
-        Order N; offset in matrix storage; places of P (U x N) and g (U, or -1 for 1) in `numbers`; its constraint.
+    blk : (6, blocks)
+        Order N; offset in matrix storage; places of P (U x N) and g (U, or -1 for 1) in `numbers`; its constraint;
+        place of P' (N x U, rows padded to whole tiles) after Layout.at[TURNS] in `numbers`.
     numbers : (...)
         Bases, weights, starting functionals (vector storage), norms of changes, log-determinant factors.
-    at : (61,)
+    at : (62,)
         Offset of each storage in the heap, and the sizes.
     """
 
@@ -79,11 +81,12 @@ def layout(structure: Structure) -> Layout:
     """Lay out a structure (cached)."""
     m, constraints = structure.size, structure.constraints
     con = np.zeros((11, len(constraints)), dtype=np.int64)
-    blk: list[tuple[int, int, int, int, int]] = []
+    blk: list[tuple[int, int, int, int, int, int]] = []
     bases: list[Array] = [np.zeros(0)]
+    turned: list[Array] = []
     weights: list[Array] = []
     interior: list[Array] = []
-    vectors = matrices = compact = factors = groups = tall = weighing = 0
+    vectors = matrices = compact = factors = groups = tall = turning = weighing = 0
     flat, degree = m, 0
     for i, c in enumerate(constraints):
         kind = _KINDS[c.kind]
@@ -98,24 +101,27 @@ def layout(structure: Structure) -> Layout:
             vectors += rows
             interior.append(structure.sampling(c.name).interior if kind == SOS else np.zeros(rows))
         if kind == LMI:
-            blk.append((rows, matrices, 0, -1, i))
+            blk.append((rows, matrices, 0, -1, i, 0))
             matrices += entries
         elif kind == SOS:
-            factors += rows * rows
+            wide = pad(rows)
+            factors += wide * (wide + pad(m + 1))
             for block in structure.sampling(c.name).blocks:
                 plain = bool(np.all(block.weights == 1.0))
-                blk.append((len(block.basis), matrices, tall, -1 if plain else weighing, i))
+                blk.append((len(block.basis), matrices, tall, -1 if plain else weighing, i, turning))
                 matrices += len(block.basis) ** 2
                 tall += block.rows.size
                 degree += len(block.basis)
+                turning += len(block.basis) * wide
                 bases.append(block.rows.ravel())
+                turned.append(np.pad(block.rows.T, ((0, 0), (0, wide - rows))).ravel())
                 if not plain:
                     weights.append(block.weights)
                     weighing += rows
         con[LAST, i] = len(blk)
-    table = np.array(blk, dtype=np.int64).reshape(len(blk), 5).T.copy()
-    table[WEIGHT][table[WEIGHT] >= 0] += tall
-    con[FOLD] = tall + weighing + vectors + np.arange(len(constraints))
+    table = np.array(blk, dtype=np.int64).reshape(len(blk), 6).T.copy()
+    table[WEIGHT][table[WEIGHT] >= 0] += tall + turning
+    con[FOLD] = tall + turning + weighing + vectors + np.arange(len(constraints))
     con[TARGET] = con[FOLD] + len(constraints)
     folds = np.array([_fold(c) if c.kind == "sos" else 0.0 for c in constraints])
     targets = np.array([c.factor for c in constraints])
@@ -123,9 +129,11 @@ def layout(structure: Structure) -> Layout:
     nodes = max([c.size for c in constraints if c.kind == "sos"], default=1)
     order = max([1, *table[ORDER].tolist()])
     widest = max([nodes, order * order, *con[ROWS].tolist()])
+    # Scratch for the reduction of one constraint: P' over the factor of Z, that factor's inverse, inverse pivots.
+    space = pad(nodes) * (order + 1) + order * order
     lengths = np.array(
         [matrices] * 16 + [vectors] * 13 + [m + 1] * 10
-        + [compact, compact, factors, nodes * (2 * nodes + order), nodes * order, tall, 4 * order * order + widest]
+        + [compact, compact, factors, space, pad(nodes) * order, turning, 4 * order * order + widest]
         + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2 * (1 + sampled), groups * (m + 1), groups, 24]
     )  # fmt: skip
     at = np.zeros(_COUNT, dtype=np.int64)
@@ -133,8 +141,13 @@ def layout(structure: Structure) -> Layout:
     starts = np.concatenate([[0], np.cumsum(-(-lengths // 8) * 8)])
     at[: len(lengths)] = starts[:-1]
     at[M], at[VECTORS], at[MATRICES], at[GROUPS] = m, vectors, matrices, groups
-    at[LENGTH], at[DEGREE], at[SPACE], at[FLATS] = starts[-1], degree, nodes * (2 * nodes + order), flat
-    return Layout(con, table, np.concatenate([*bases, *weights, *interior, folds, targets]), at)
+    at[LENGTH], at[DEGREE], at[SPACE], at[FLATS], at[TURNS] = starts[-1], degree, space, flat, tall
+    return Layout(con, table, np.concatenate([*bases, *turned, *weights, *interior, folds, targets]), at)
+
+
+def pad(count: int) -> int:
+    """Round up to whole tiles."""
+    return int(padded.py_func(count))
 
 
 def _fold(c: Constraint) -> float:
@@ -228,10 +241,8 @@ def decision(lay, st, name):  # type: ignore[no-untyped-def]
 
 @inner
 def compact(lay, st, name, i):  # type: ignore[no-untyped-def]
-    """Constraint i's data (G or V): (width, entries) of polynomials and matrices, (rows, width) of cones."""
+    """Constraint i's data (G or V): (rows, width), or (width, entries) of matrix inequalities."""
     rows, width, start = lay.con[ROWS, i], st.ints[8 + i], lay.at[name] + lay.con[COMPACT, i]
-    if lay.con[KIND, i] == SOS:
-        return st.heap[start : start + width * rows].reshape((width, rows))
     if lay.con[KIND, i] == LMI:
         return st.heap[start : start + width * rows * rows].reshape((width, rows * rows))
     return st.heap[start : start + rows * width].reshape((rows, width))
@@ -251,6 +262,14 @@ def rows_of(lay, b):  # type: ignore[no-untyped-def]
 
 
 @inner
+def turned_of(lay, b):  # type: ignore[no-untyped-def]
+    """P' of block b, (N, U) with rows padded to whole tiles."""
+    return matrix_at(
+        lay.numbers, lay.at[TURNS] + lay.blk[TURNED, b], lay.blk[ORDER, b], padded(lay.con[ROWS, lay.blk[OWNER, b]])
+    )
+
+
+@inner
 def weights_of(lay, b):  # type: ignore[no-untyped-def]
     """Weights g of block b, (U,), or empty where they are one."""
     start = lay.blk[WEIGHT, b]
@@ -258,7 +277,13 @@ def weights_of(lay, b):  # type: ignore[no-untyped-def]
 
 
 @inner
-def tall_of(lay, st, name, b):  # type: ignore[no-untyped-def]
-    """Storage (U, N) of block b: scratch, or P L_Q which is kept for every block."""
-    start = lay.at[name] + (lay.blk[BASIS, b] if name == TALLQ else 0)
-    return matrix_at(st.heap, start, lay.con[ROWS, lay.blk[OWNER, b]], lay.blk[ORDER, b])
+def tall_of(lay, st, b):  # type: ignore[no-untyped-def]
+    """Scratch (U, N) for block b."""
+    return matrix_at(st.heap, lay.at[TALL], lay.con[ROWS, lay.blk[OWNER, b]], lay.blk[ORDER, b])
+
+
+@inner
+def wide_of(lay, st, name, b):  # type: ignore[no-untyped-def]
+    """Storage (N, U) of block b, rows padded to whole tiles: scratch TALL, or L_Q' P' (WIDEQ), kept for every block."""
+    start = lay.at[name] + (lay.blk[TURNED, b] if name == WIDEQ else 0)
+    return matrix_at(st.heap, start, lay.blk[ORDER, b], padded(lay.con[ROWS, lay.blk[OWNER, b]]))

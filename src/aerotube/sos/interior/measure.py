@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from aerotube.sos.interior import blas, small
+from aerotube.sos.interior import blas, blocks, small
 from aerotube.sos.interior.compiled import inner, keep_apart
 from aerotube.sos.interior.layout import (
     BEST_D,
@@ -33,9 +33,9 @@ from aerotube.sos.interior.layout import (
     SURE_D,
     SURE_Q,
     SURE_Y,
-    TALLQ,
     TARGET,
     VECTORS,
+    WIDEQ,
     D,
     G,
     M,
@@ -49,9 +49,9 @@ from aerotube.sos.interior.layout import (
     entries,
     matrix_at,
     part,
-    rows_of,
-    tall_of,
+    turned_of,
     weights_of,
+    wide_of,
 )  # fmt: skip
 from aerotube.sos.interior.state import (
     BEST,
@@ -97,16 +97,12 @@ RAY_ACCEPTED = 1e-9
 
 @inner
 def sampled_residual(lay, st, i, residual):  # type: ignore[no-untyped-def]
-    """Subtract A(Q) from the values of a sampled constraint; leaves P L_Q for the Schur complement."""
+    """Subtract A(Q) from the values of a sampled constraint; leaves (P L_Q)' for the Schur complement."""
     keep_apart()
     for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
-        pq, weights = tall_of(lay, st, TALLQ, b), weights_of(lay, b)
-        blas.multiply(rows_of(lay, b), block(lay, st, LQ, b), pq)
-        for u in range(pq.shape[0]):
-            total = 0.0
-            for k in range(pq.shape[1]):
-                total += pq[u, k] * pq[u, k]
-            residual[u] -= total if weights.shape[0] == 0 else weights[u] * total
+        wide = wide_of(lay, st, WIDEQ, b)
+        blas.multiply_first_transposed(block(lay, st, LQ, b), turned_of(lay, b), wide)
+        blocks.add_products(wide, wide, weights_of(lay, b), -1.0, residual)
 
 
 @inner
@@ -153,7 +149,7 @@ def measure(lay, st):  # type: ignore[no-untyped-def]
             else:
                 small.add(residual, -1.0, part(lay, st, S, i))
                 inner += small.dot(part(lay, st, S, i), multiplier)
-        if kind in (SOS, LMI):
+        if kind == LMI:
             largest, away = row_excess(residual, compact(lay, st, G, i), tau)
         else:
             largest, away = vector_excess(residual, compact(lay, st, G, i), tau)

@@ -159,7 +159,7 @@ def _settle(extent, row, column):  # type: ignore[no-untyped-def]
 def unpack(lay, st, flat):  # type: ignore[no-untyped-def]
     """Scale the numbers of one program and pack them.
 
-    Polynomials and matrices as rows of G (width, entries), the constants last; cones as columns.
+    Matrices as rows of G (width, entries), the constants last; everything else as columns.
     """
     m = lay.at[M]
     objective, column = decision(lay, st, OBJECTIVE), decision(lay, st, COLUMN)
@@ -206,9 +206,6 @@ def _pack(kind, rows, m, flat, columns, column, row, out):  # type: ignore[no-un
                     # Symmetrised: only the symmetric part enters the inequality.
                     both = flat[first + r * rows + c] + flat[first + c * rows + r]
                     out[a, r * rows + c] = 0.5 * both * column[j] * row[0]
-        elif kind == SOS:
-            for r in range(rows):
-                out[a, r] = (flat[r] if j == m else flat[rows + r * m + j]) * column[j] * row[0]
         else:
             for r in range(rows):
                 own = row[r] if kind == LINEAR else row[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from aerotube.sos.interior import blas, blocks, cones, small
+from aerotube.sos.interior import blas, blocks, cones, tiles
 from aerotube.sos.interior.compiled import inner, keep_apart
 from aerotube.sos.interior.layout import (
     FACTOR,
@@ -15,7 +15,6 @@ from aerotube.sos.interior.layout import (
     LOCAL,
     LZ,
     NORM,
-    ORDER,
     ROOM,
     ROOT,
     ROWS,
@@ -24,7 +23,7 @@ from aerotube.sos.interior.layout import (
     SCHUR_FACTOR,
     SOS,
     SPACE,
-    TALLQ,
+    WIDEQ,
     G,
     M,
     V,
@@ -35,17 +34,33 @@ from aerotube.sos.interior.layout import (
     failed,
     matrix_at,
     part,
-    rows_of,
-    tall_of,
+    turned_of,
     weights_of,
+    wide_of,
 )  # fmt: skip
+from aerotube.sos.interior.tiles import padded
 
 
 @inner
-def factor_of(lay, st, i):  # type: ignore[no-untyped-def]
-    """Schur factor (U, U) of a sampled constraint."""
-    rows = lay.con[ROWS, i]
-    return matrix_at(st.heap, lay.at[FACTOR] + lay.con[FACTOR_AT, i], rows, rows)
+def system_of(lay, st, i):  # type: ignore[no-untyped-def]
+    """Schur complement H of a sampled constraint beside its data C (see `tiles.factor`): flat, and a row's length."""
+    order = padded(lay.con[ROWS, i])
+    row, start = order + padded(active(lay, st, i).shape[0]), lay.at[FACTOR] + lay.con[FACTOR_AT, i]
+    return st.heap[start : start + order * row], row
+
+
+@inner
+def divide_by_transpose(lay, st, i, x):  # type: ignore[no-untyped-def]
+    """Overwrite x by R'^-1 x, R the factor of a sampled constraint's Schur complement."""
+    system, row = system_of(lay, st, i)
+    blas.divide_by_transpose(system, row, x)
+
+
+@inner
+def divide(lay, st, i, x):  # type: ignore[no-untyped-def]
+    """Overwrite x by R^-1 x."""
+    system, row = system_of(lay, st, i)
+    blas.divide(system, row, x)
 
 
 @inner
@@ -66,26 +81,43 @@ def reduce_sampled(lay, st, i, room):  # type: ignore[no-untyped-def]
     another constraint, so that constraints can be dealt with at the same time, each with scratch `room` of its own.
     """
     keep_apart()
-    rows, matrix, k2 = lay.con[ROWS, i], factor_of(lay, st, i), part(lay, st, K2, i)
-    data, scaled = compact(lay, st, G, i), compact(lay, st, V, i)
-    first, second = matrix_at(room, 0, rows, rows), matrix_at(room, rows * rows, rows, rows)
+    rows, k2 = lay.con[ROWS, i], part(lay, st, K2, i)
+    system, row = system_of(lay, st, i)
+    order, scaled = padded(rows), compact(lay, st, V, i)
     lift, bad = 2e-16, True
     while bad and lift < 1e-6:
         k2[:] = 0.0
         for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
             blocks.add_schur(
-                rows_of(lay, b), weights_of(lay, b), tall_of(lay, st, TALLQ, b), block(lay, st, LZ, b),
-                b == lay.con[FIRST, i], matrix, first, second,
-                matrix_at(room, 2 * rows * rows, rows, lay.blk[ORDER, b]), k2,
+                turned_of(lay, b), weights_of(lay, b), wide_of(lay, st, WIDEQ, b), block(lay, st, LZ, b),
+                b == lay.con[FIRST, i], system, 0, row, k2, room,
             )  # fmt: skip
         for u in range(rows):
-            matrix[u, u] *= 1.0 + lift
-        small.copy_matrix(data, scaled)
-        bad = not blas.factor_beside(matrix, scaled)
+            system[u * (row + 1)] *= 1.0 + lift
+        set_beside(system, row, compact(lay, st, G, i), order)
+        bad = not tiles.factor(system, 0, row, order, row, room, 0)
         lift *= 50.0
     failed(lay, st)[i] = 1 if bad else 0
     if not bad:
-        blas.gram_lower(scaled, share_of(lay, st, i), 0.0)
+        for u in range(rows):
+            for a in range(scaled.shape[1]):
+                scaled[u, a] = system[u * row + order + a]
+        blas.multiply_first_transposed(scaled, scaled, share_of(lay, st, i))
+
+
+@inner
+def set_beside(system, row, data, order):  # type: ignore[no-untyped-def]
+    """Write the data to the right of a system of padded order, and fill up what pads it: ones on the diagonal."""
+    keep_apart()
+    for u in range(order):
+        start = u * row + order
+        for a in range(row - order):
+            system[start + a] = 0.0
+        if u < data.shape[0]:
+            for a in range(data.shape[1]):
+                system[start + a] = data[u, a]
+        else:
+            system[u * (row + 1)] = 1.0
 
 
 @inner
@@ -106,7 +138,7 @@ def reduce_direct(lay, st, i):  # type: ignore[no-untyped-def]
             inverse = 1.0 / root[r]
             for c in range(data.shape[1]):
                 scaled[r, c] = data[r, c] * inverse
-    blas.inner_lower(scaled, local)
+    blas.multiply_first_transposed(scaled, scaled, local)
 
 
 @inner

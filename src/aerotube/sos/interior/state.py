@@ -29,7 +29,6 @@ from aerotube.sos.interior.layout import (
     SCRATCH,
     SHORT,
     SOS,
-    TALL,
     TARGET,
     VECTOR,
     VECTORS,
@@ -135,7 +134,7 @@ def moments(lay, st, y, out):  # type: ignore[no-untyped-def]
             functional = part(lay, st, y, i)
             for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
                 blocks.moment_matrix(
-                    rows_of(lay, b), weights_of(lay, b), functional, block(lay, st, out, b), tall_of(lay, st, TALL, b)
+                    rows_of(lay, b), weights_of(lay, b), functional, block(lay, st, out, b), tall_of(lay, st, b)
                 )
 
 
@@ -157,7 +156,7 @@ def values(lay, st, d, tau, i, out):  # type: ignore[no-untyped-def]
     """Out = value of constraint i at decision storage `d` and tau."""
     keep_apart()
     short, data = gather(lay, st, i, d, tau), compact(lay, st, G, i)
-    if lay.con[KIND, i] in (SOS, LMI):
+    if lay.con[KIND, i] == LMI:
         blas.transposed_times_vector(data, short, out, 1.0, 0.0)
     else:
         blas.times_vector(data, short, out, 1.0, 0.0)
@@ -169,7 +168,7 @@ def add_adjoint(lay, st, name, i, x, out):  # type: ignore[no-untyped-def]
     keep_apart()
     columns, data = active(lay, st, i), compact(lay, st, name, i)
     short = scratch(lay, st, SHORT, columns.shape[0])
-    if lay.con[KIND, i] in (SOS, LMI):
+    if lay.con[KIND, i] == LMI:
         blas.times_vector(data, x, short, 1.0, 0.0)
     else:
         blas.transposed_times_vector(data, x, short, 1.0, 0.0)
