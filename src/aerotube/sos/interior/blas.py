@@ -160,19 +160,3 @@ def solve_upper_vector(factor, x):  # type: ignore[no-untyped-def]
     keep_apart()
     n, step = np.int32(x.shape[0]), np.int32(1)
     _dtrsv(_ref(_U), _ref(_N), _ref(_N), _ref(n), _data(factor), _ref(n), _data(x), _ref(step))
-
-
-@inner
-def divide_by_transpose(a, row, x):  # type: ignore[no-untyped-def]
-    """Overwrite x by R'^-1 x, R an upper triangle in a flat array with rows `row` numbers apart."""
-    keep_apart()
-    n, wide, step = np.int32(x.shape[0]), np.int32(row), np.int32(1)
-    _dtrsv(_ref(_L), _ref(_N), _ref(_N), _ref(n), _data(a), _ref(wide), _data(x), _ref(step))
-
-
-@inner
-def divide(a, row, x):  # type: ignore[no-untyped-def]
-    """Overwrite x by R^-1 x."""
-    keep_apart()
-    n, wide, step = np.int32(x.shape[0]), np.int32(row), np.int32(1)
-    _dtrsv(_ref(_L), _ref(_T), _ref(_N), _ref(n), _data(a), _ref(wide), _data(x), _ref(step))

@@ -8,7 +8,13 @@ from typing import Any
 from numba import njit, types
 from numba.extending import intrinsic
 
-OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+OPTIONS: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    # Sums may be added up in any order, as vectors do; not a number stays not a number.
+    "fastmath": {"reassoc", "contract", "nsz"},
+}
 
 entry: Any = njit(**OPTIONS)
 """A function that Python calls."""

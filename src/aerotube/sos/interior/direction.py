@@ -60,7 +60,7 @@ from aerotube.sos.interior.layout import (
     weights_of,
     wide_of,
 )  # fmt: skip
-from aerotube.sos.interior.schur import divide, divide_by_transpose
+from aerotube.sos.interior.schur import divide_system
 from aerotube.sos.interior.state import (
     BETA_OMEGA,
     GAP_RESIDUAL,
@@ -76,6 +76,7 @@ from aerotube.sos.interior.state import (
     values,
 )  # fmt: skip
 
+NO, YES = np.arange(2)
 REFINE_ABOVE, REFINE_SHARE = 1e-13, 0.03
 """Error of the scaled equations in a direction that is worth another solve: also where, beside the complementarity, it
 would eat into the margins that certify the iterate."""
@@ -125,7 +126,7 @@ def sampled_side(lay, st, i, center, eta, second):  # type: ignore[no-untyped-de
                 blocks.add_values(
                     turned_of(lay, b), weights_of(lay, b), block(lay, st, DZ, b), 1.0, a, wide_of(lay, st, TALL, b)
                 )
-        divide_by_transpose(lay, st, i, a)
+        divide_system(lay, st, i, a, YES)
     known = gather(lay, st, i, D, numbers(lay, st)[TAU])
     blas.times_vector(compact(lay, st, V, i), known, a, -1.0, 1.0)
 
@@ -215,7 +216,7 @@ def recover_vectors(lay, st, i, dtau, eta):  # type: ignore[no-untyped-def]
     subtract_scaled(lay, st, i, dtau, a)
     if kind == SOS:
         small.copy(a, dy)
-        divide(lay, st, i, dy)
+        divide_system(lay, st, i, dy, NO)
         return
     if kind == NORM:
         cones.apply(part(lay, st, W, i), root[0], a, dy, cones.INVERSE)
@@ -306,7 +307,7 @@ def refine(lay, st, dtau, eta):  # type: ignore[no-untyped-def]
     rhs[:] = 0.0
     for i in range(lay.con.shape[1]):
         if lay.con[KIND, i] == SOS:
-            divide_by_transpose(lay, st, i, part(lay, st, A, i))
+            divide_system(lay, st, i, part(lay, st, A, i), YES)
             add_adjoint(lay, st, V, i, part(lay, st, A, i), rhs)
     small.copy(dd, kept)
     small.copy(rhs, dd)
@@ -328,7 +329,7 @@ def refine_part(lay, st, i):  # type: ignore[no-untyped-def]
         a, dy, root = part(lay, st, A, i), part(lay, st, DY, i), part(lay, st, ROOT, i)
         subtract_scaled(lay, st, i, zero, a)
         if kind == SOS:
-            divide(lay, st, i, a)
+            divide_system(lay, st, i, a, NO)
             small.add(dy, 1.0, a)
         else:
             change = scratch(lay, st, SCRATCH, a.shape[0])

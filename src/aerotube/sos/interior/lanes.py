@@ -12,6 +12,7 @@ from typing import Any
 import llvmlite.binding as llvm  # type: ignore[import-untyped]
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 LANES = 8 if llvm.get_host_cpu_features().get("avx512f", False) else 4
@@ -24,6 +25,7 @@ _REAL = ir.DoubleType()
 _VECTOR = ir.VectorType(_REAL, LANES)
 _FUSED = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
 _INTEGER = ir.IntType(32)
+_NUMBERED = ir.Constant(ir.VectorType(_INTEGER, LANES), list(range(LANES)))
 
 
 class _Writer:
@@ -54,6 +56,21 @@ class _Writer:
         first = self.builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, ir.Constant(_INTEGER, 0))
         pattern = ir.Constant(ir.VectorType(_INTEGER, LANES), [0] * LANES)
         return self.builder.shuffle_vector(first, first, pattern)
+
+    def spread_integer(self, value: Any) -> Any:
+        """The same of integers."""
+        empty = ir.Constant(ir.VectorType(_INTEGER, LANES), ir.Undefined)
+        first = self.builder.insert_element(empty, value, ir.Constant(_INTEGER, 0))
+        return self.builder.shuffle_vector(first, first, ir.Constant(ir.VectorType(_INTEGER, LANES), [0] * LANES))
+
+    def vector_under(self, pointer: Any, mask: Any) -> Any:
+        """A vector with zeros, and nothing read, where the mask is not set."""
+        kinds = [_VECTOR.as_pointer(), _INTEGER, ir.VectorType(ir.IntType(1), LANES), _VECTOR]
+        masked = self.builder.module.declare_intrinsic(
+            f"llvm.masked.load.v{LANES}f64.p0", (), ir.FunctionType(_VECTOR, kinds)
+        )
+        place = self.builder.bitcast(pointer, _VECTOR.as_pointer())
+        return self.builder.call(masked, [place, ir.Constant(_INTEGER, 8), mask, ir.Constant(_VECTOR, [0.0] * LANES)])
 
     def pick(self, vector: Any, lane: int) -> Any:
         return self.builder.extract_element(vector, ir.Constant(_INTEGER, lane))
@@ -185,6 +202,107 @@ def _make_eliminate(wide: int) -> Any:
     return eliminate
 
 
+def _counted(builder: Any, count: Any) -> Any:
+    """Loop over whole vectors of a row of `count` numbers."""
+    return cgutils.for_range_slice(
+        builder, ir.Constant(count.type, 0), count, ir.Constant(count.type, LANES), count.type
+    )  # fmt: skip
+
+
+@_intrinsic
+def add_scaled_row(
+    context: Any, x: Any, x_at: Any, y: Any, y_at: Any, factor: Any, count: Any, out: Any, out_at: Any
+) -> Any:
+    """Out = x + factor * y for `count` numbers, and zero up to a whole number of vectors."""
+
+    def generate(ctx: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        w = _Writer(ctx, builder, signature, arguments)
+        left, right, target = w.place(0), w.place(2), w.place(6)
+        scale, count = w.spread(arguments[4]), arguments[5]
+        narrow = builder.trunc(count, _INTEGER)
+        with _counted(builder, count) as (k, _):
+            rest = builder.sub(narrow, builder.trunc(k, _INTEGER))
+            mask = builder.icmp_signed("<", _NUMBERED, w.spread_integer(rest))
+            first, second = (w.vector_under(w.step(p, k), mask) for p in (left, right))
+            w.write(builder.call(w.fused, [scale, second, first]), w.step(target, k))
+        return ctx.get_dummy_value()
+
+    return types.void(x, x_at, y, y_at, factor, count, out, out_at), generate
+
+
+@_intrinsic
+def subtract_rows(context: Any, a: Any, at: Any, row: Any, count: Any, x: Any, x_at: Any, factors_at: Any) -> Any:
+    """Subtract from `count` numbers of x those of `LANES` rows of a times as many factors, which lie in x as well."""
+
+    def generate(ctx: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        w = _Writer(ctx, builder, signature, arguments)
+        rows, target = w.rows(w.place(0), arguments[2]), w.place(4)
+        factors = w.step(_base(w, 4), arguments[6])
+        spread = [w.spread(builder.fneg(builder.load(w.step(factors, r)))) for r in range(LANES)]
+        with _counted(builder, arguments[3]) as (k, _):
+            place = w.step(target, k)
+            sums = [w.vector(place), ir.Constant(_VECTOR, [0.0] * LANES)]
+            for r in range(LANES):
+                sums[r % 2] = builder.call(w.fused, [spread[r], w.vector(w.step(rows[r], k)), sums[r % 2]])
+            w.write(builder.fadd(*sums), place)
+        return ctx.get_dummy_value()
+
+    return types.void(a, at, row, count, x, x_at, factors_at), generate
+
+
+@_intrinsic
+def subtract_products(context: Any, a: Any, at: Any, row: Any, count: Any, x: Any, x_at: Any, out_at: Any) -> Any:
+    """Subtract from `LANES` numbers of x the products of as many rows of a with `count` others of x."""
+
+    def generate(ctx: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        w = _Writer(ctx, builder, signature, arguments)
+        rows, right = w.rows(w.place(0), arguments[2]), w.place(4)
+        out = w.step(_base(w, 4), arguments[6])
+        rooms = [cgutils.alloca_once_value(builder, ir.Constant(_VECTOR, [0.0] * LANES)) for _ in range(LANES)]
+        for room in rooms:
+            builder.store(ir.Constant(_VECTOR, [0.0] * LANES), room)
+        with _counted(builder, arguments[3]) as (k, _):
+            column = w.vector(w.step(right, k))
+            for r in range(LANES):
+                value = builder.call(w.fused, [w.vector(w.step(rows[r], k)), column, builder.load(rooms[r])])
+                builder.store(value, rooms[r])
+        add = builder.module.declare_intrinsic(
+            f"llvm.vector.reduce.fadd.v{LANES}f64", (), ir.FunctionType(_REAL, [_REAL, _VECTOR])
+        )
+        for r in range(LANES):
+            total = builder.call(add, [ir.Constant(_REAL, 0.0), builder.load(rooms[r])], fastmath=("reassoc",))
+            place = w.step(out, r)
+            builder.store(builder.fsub(builder.load(place), total), place)
+        return ctx.get_dummy_value()
+
+    return types.void(a, at, row, count, x, x_at, out_at), generate
+
+
+def _make_corner_solve(transposed: bool) -> Any:
+    @_intrinsic
+    def corner_solve(
+        context: Any, a: Any, at: Any, row: Any, inverses: Any, inverses_at: Any, x: Any, x_at: Any
+    ) -> Any:
+        def generate(ctx: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            w = _Writer(ctx, builder, signature, arguments)
+            rows, inverse, place = w.rows(w.place(0), arguments[2]), w.place(3), w.place(5)
+            found: dict[int, Any] = {}
+            for r in range(LANES) if transposed else reversed(range(LANES)):
+                value = builder.load(w.step(place, r))
+                for q, known in found.items():
+                    factor = builder.load(w.step(rows[q], r) if transposed else w.step(rows[r], q))
+                    value = builder.fsub(value, builder.fmul(factor, known, flags=("contract",)), flags=("contract",))
+                found[r] = builder.fmul(value, builder.load(w.step(inverse, r)))
+            for r, value in found.items():
+                builder.store(value, w.step(place, r))
+            return ctx.get_dummy_value()
+
+        return types.void(a, at, row, inverses, inverses_at, x, x_at), generate
+
+    return corner_solve
+
+
+solve_corner, solve_corner_transposed = _make_corner_solve(False), _make_corner_solve(True)
 hadamard1, hadamard2, hadamard3 = (_make_hadamard(wide) for wide in range(1, WIDEST + 1))
 eliminate1, eliminate2, eliminate3 = (_make_eliminate(wide) for wide in range(1, WIDEST + 1))
 

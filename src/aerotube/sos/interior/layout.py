@@ -51,9 +51,10 @@ class Layout(NamedTuple):
     ----------
     con : (11, constraints)
         Kind; rows (U, order, 1 + k, rows); offset in vector storage; first and last + 1 block; offset of its data
-        (rows x width, or width x k^2 of a matrix inequality); offset of its Schur factor; offset in a program's flat data; first
-        row scale (one for all rows, but one for each linear row); places in `numbers` of its log-determinant factor
-        and of the norm of the map from values at the nodes to the least changes of Gram matrices that make them.
+        (rows x width, or width x k^2 of a matrix inequality); offset of its Schur factor; offset in a program's flat
+        data; first row scale (one for all rows, but one for each linear row); places in `numbers` of its
+        log-determinant factor and of the norm of the map from values at the nodes to the least changes of Gram
+        matrices that make them.
     blk : (6, blocks)
         Order N; offset in matrix storage; places of P (U x N) and g (U, or -1 for 1) in `numbers`; its constraint;
         place of P' (N x U, rows padded to whole tiles) after Layout.at[TURNS] in `numbers`.
@@ -105,7 +106,7 @@ def layout(structure: Structure) -> Layout:
             matrices += entries
         elif kind == SOS:
             wide = pad(rows)
-            factors += wide * (wide + pad(m + 1))
+            factors += wide * (wide + pad(m + 1) + 1)
             for block in structure.sampling(c.name).blocks:
                 plain = bool(np.all(block.weights == 1.0))
                 blk.append((len(block.basis), matrices, tall, -1 if plain else weighing, i, turning))
@@ -129,12 +130,14 @@ def layout(structure: Structure) -> Layout:
     nodes = max([c.size for c in constraints if c.kind == "sos"], default=1)
     order = max([1, *table[ORDER].tolist()])
     widest = max([nodes, order * order, *con[ROWS].tolist()])
-    # Scratch for the reduction of one constraint: P' over the factor of Z, that factor's inverse, inverse pivots.
-    space = pad(nodes) * (order + 1) + order * order
+    # Scratch for the reduction of one constraint (P' over the factor of Z, that factor's inverse), and
+    # for work on one block.
+    space = pad(nodes) * order + order * order
+    room = max(4 * order * order + widest, pad(order) * (pad(order) + 1))
     lengths = np.array(
         [matrices] * 16 + [vectors] * 13 + [m + 1] * 10
-        + [compact, compact, factors, space, pad(nodes) * order, turning, 4 * order * order + widest]
-        + [4 * (widest + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2 * (1 + sampled), groups * (m + 1), groups, 24]
+        + [compact, compact, factors, space, pad(nodes) * order, turning, room]
+        + [4 * (pad(widest) + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2 * (1 + sampled), groups * (m + 1), groups, 24]
     )  # fmt: skip
     at = np.zeros(_COUNT, dtype=np.int64)
     # Every storage starts at a multiple of eight numbers, a cache line.

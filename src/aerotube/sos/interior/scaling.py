@@ -13,6 +13,7 @@ import numpy as np
 from aerotube.sos.interior.compiled import entry, inner, keep_apart
 from aerotube.sos.interior.layout import (
     COLUMN,
+    DD,
     EXTENT,
     FLAT,
     GROUP,
@@ -23,11 +24,13 @@ from aerotube.sos.interior.layout import (
     NORM,
     NUMBER,
     OBJECTIVE,
+    RHS,
     ROW,
     ROWS,
     SOS,
     G,
     M,
+    V,
     active,
     compact,
     decision,
@@ -37,21 +40,21 @@ from aerotube.sos.interior.layout import (
 SWEEPS = 6
 NOTHING = 1e-9
 """Constants this small beside the largest are taken for rounding."""
+ABSENT = -1e4
+"""Stands for the logarithm of nothing: below that of any number."""
 BETA, OMEGA = 9, 10
 """Places of the overall scales among the numbers of a state."""
 
 
 @inner
-def _entry(kind, rows, m, flat, r, j):  # type: ignore[no-untyped-def]
-    """Coefficient of variable j (m: the constant) in row r of a constraint, with the sign of `value >= 0`."""
+def _places(kind, rows, m, r):  # type: ignore[no-untyped-def]
+    """Where row r of a constraint has its coefficients and its constant."""
     if kind == SOS:
-        return flat[r] if j == m else flat[rows + r * m + j]
+        return rows + r * m, r
     if kind == NORM:
         k = rows - 1
-        if r == 0:
-            return flat[k * m + k + m] if j == m else flat[k * m + k + j]
-        return flat[k * m + r - 1] if j == m else flat[(r - 1) * m + j]
-    return flat[rows * m + r] if j == m else -flat[r * m + j]
+        return (k * m + k, k * m + k + m) if r == 0 else ((r - 1) * m, k * m + r - 1)
+    return r * m, rows * m + r
 
 
 @inner
@@ -69,16 +72,13 @@ def _measure(lay, extent, flat):  # type: ignore[no-untyped-def]
                 first = 0 if j == m else (j + 1) * square
                 for k in range(first, first + square):
                     extent[group, j] = max(extent[group, j], abs(own[k]))
-        elif kind == SOS:
-            for r in range(rows):
-                extent[group, m] = max(extent[group, m], abs(own[r]))
-                for j in range(m):
-                    extent[group, j] = max(extent[group, j], abs(own[rows + r * m + j]))
-        else:
-            for r in range(rows):
-                line = group + r if kind == LINEAR else group
-                for j in range(m + 1):
-                    extent[line, j] = max(extent[line, j], abs(_entry(kind, rows, m, own, r, j)))
+            continue
+        for r in range(rows):
+            line = extent[group + r if kind == LINEAR else group]
+            start, constant = _places(kind, rows, m, r)
+            for j in range(m):
+                line[j] = max(line[j], abs(own[start + j]))
+            line[m] = max(line[m], abs(own[constant]))
 
 
 @inner
@@ -88,31 +88,36 @@ def _power(x):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _balance(extent, row, column):  # type: ignore[no-untyped-def]
+def _balance(extent, logs, row, column, total, count):  # type: ignore[no-untyped-def]
     """Choose row and column scales by a few sweeps over the table of magnitudes.
 
     The sweeps make the mean logarithm of every row and column zero, which minimises the sum of squared logarithms
-    (A. R. Curtis and J. K. Reid, "On the automatic scaling of matrices for Gaussian elimination", 1972).
+    (A. R. Curtis and J. K. Reid, "On the automatic scaling of matrices for Gaussian elimination", 1972). logs is
+    scratch of the table's shape, total and count of the columns'.
     """
     keep_apart()
     groups, m = extent.shape[0], extent.shape[1] - 1
+    for g in range(groups):
+        for j in range(m):
+            logs[g, j] = np.log2(extent[g, j]) if extent[g, j] > 0.0 else ABSENT
     column[:] = 0.0
     row[:] = 0.0
     for _ in range(SWEEPS):
+        total[:] = 0.0
+        count[:] = 0.0
         for g in range(groups):
-            total, count = 0.0, 0
+            own, number = 0.0, 0.0
             for j in range(m):
-                if extent[g, j] > 0.0:
-                    total += np.log2(extent[g, j]) + column[j]
-                    count += 1
-            row[g] = -total / count if count > 0 else 0.0
+                held = 1.0 if logs[g, j] > ABSENT else 0.0
+                own += held * (logs[g, j] + column[j])
+                number += held
+            row[g] = -own / number if number > 0.0 else 0.0
+            for j in range(m):
+                held = 1.0 if logs[g, j] > ABSENT else 0.0
+                total[j] += held * (logs[g, j] + row[g])
+                count[j] += held
         for j in range(m):
-            total, count = 0.0, 0
-            for g in range(groups):
-                if extent[g, j] > 0.0:
-                    total += np.log2(extent[g, j]) + row[g]
-                    count += 1
-            column[j] = -total / count if count > 0 else 0.0
+            column[j] = -total[j] / count[j] if count[j] > 0.0 else 0.0
     for j in range(m):
         column[j] = 2.0 ** np.round(column[j])
     for g in range(groups):
@@ -167,7 +172,9 @@ def unpack(lay, st, flat):  # type: ignore[no-untyped-def]
     row = st.heap[lay.at[ROW] : lay.at[ROW] + lay.at[GROUPS]]
     number = st.heap[lay.at[NUMBER] : lay.at[NUMBER] + 24]
     _measure(lay, extent, flat)
-    _balance(extent, row, column)
+    # V is as large as the table at least, and not in use yet; nor are the decision storages of the directions.
+    logs = matrix_at(st.heap, lay.at[V], lay.at[GROUPS], m + 1)
+    _balance(extent, logs, row, column, decision(lay, st, DD), decision(lay, st, RHS))
     _settle(extent, row, column)
     slope = 0.0
     for j in range(m):
@@ -197,16 +204,23 @@ def unpack(lay, st, flat):  # type: ignore[no-untyped-def]
 
 @inner
 def _pack(kind, rows, m, flat, columns, column, row, out):  # type: ignore[no-untyped-def]
-    for a in range(columns.shape[0]):
-        j = columns[a]
-        if kind == LMI:
+    keep_apart()
+    width = columns.shape[0] - 1
+    if kind == LMI:
+        for a in range(width + 1):
+            j = columns[a]
             first = 0 if j == m else (j + 1) * rows * rows
             for r in range(rows):
                 for c in range(rows):
                     # Symmetrised: only the symmetric part enters the inequality.
                     both = flat[first + r * rows + c] + flat[first + c * rows + r]
                     out[a, r * rows + c] = 0.5 * both * column[j] * row[0]
-        else:
-            for r in range(rows):
-                own = row[r] if kind == LINEAR else row[0]
-                out[r, a] = _entry(kind, rows, m, flat, r, j) * column[j] * own
+        return
+    # With the sign of `value >= 0`: linear constraints are given as A d <= b.
+    sign = -1.0 if kind == LINEAR else 1.0
+    for r in range(rows):
+        own = row[r] if kind == LINEAR else row[0]
+        start, constant = _places(kind, rows, m, r)
+        for a in range(width):
+            out[r, a] = sign * flat[start + columns[a]] * column[columns[a]] * own
+        out[r, width] = flat[constant] * column[m] * own

@@ -21,6 +21,7 @@ from aerotube.sos.interior.layout import (
     SCALE,
     SCHUR,
     SCHUR_FACTOR,
+    SHORT,
     SOS,
     SPACE,
     WIDEQ,
@@ -38,29 +39,35 @@ from aerotube.sos.interior.layout import (
     weights_of,
     wide_of,
 )  # fmt: skip
+from aerotube.sos.interior.state import scratch
 from aerotube.sos.interior.tiles import padded
 
 
 @inner
 def system_of(lay, st, i):  # type: ignore[no-untyped-def]
-    """Schur complement H of a sampled constraint beside its data C (see `tiles.factor`): flat, and a row's length."""
+    """Schur complement H of a sampled constraint beside its data C (see `tiles.factor`): flat, and a row's length.
+
+    The inverses of the diagonal of its factor follow in the array.
+    """
     order = padded(lay.con[ROWS, i])
     row, start = order + padded(active(lay, st, i).shape[0]), lay.at[FACTOR] + lay.con[FACTOR_AT, i]
-    return st.heap[start : start + order * row], row
+    return st.heap[start : start + order * (row + 1)], row
 
 
 @inner
-def divide_by_transpose(lay, st, i, x):  # type: ignore[no-untyped-def]
-    """Overwrite x by R'^-1 x, R the factor of a sampled constraint's Schur complement."""
+def divide_system(lay, st, i, x, transposed):  # type: ignore[no-untyped-def]
+    """Overwrite x by R^-1 x or, transposed, R'^-1 x, R the factor of a sampled constraint's Schur complement."""
     system, row = system_of(lay, st, i)
-    blas.divide_by_transpose(system, row, x)
-
-
-@inner
-def divide(lay, st, i, x):  # type: ignore[no-untyped-def]
-    """Overwrite x by R^-1 x."""
-    system, row = system_of(lay, st, i)
-    blas.divide(system, row, x)
+    order = padded(x.shape[0])
+    inverses, whole = system[order * row :], scratch(lay, st, SHORT, order)
+    for u in range(order):
+        whole[u] = x[u] if u < x.shape[0] else 0.0
+    if transposed == 1:
+        tiles.divide_by_transpose(system, row, order, inverses, whole)
+    else:
+        tiles.divide(system, row, order, inverses, whole)
+    for u in range(x.shape[0]):
+        x[u] = whole[u]
 
 
 @inner
@@ -95,7 +102,7 @@ def reduce_sampled(lay, st, i, room):  # type: ignore[no-untyped-def]
         for u in range(rows):
             system[u * (row + 1)] *= 1.0 + lift
         set_beside(system, row, compact(lay, st, G, i), order)
-        bad = not tiles.factor(system, 0, row, order, row, room, 0)
+        bad = not tiles.factor(system, 0, row, order, row, system, order * row)
         lift *= 50.0
     failed(lay, st)[i] = 1 if bad else 0
     if not bad:

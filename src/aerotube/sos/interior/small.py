@@ -86,40 +86,6 @@ def orthogonalise(a, g):  # type: ignore[no-untyped-def]
 
 
 @inner
-def longest_step(value, change, most, halvings, trial):  # type: ignore[no-untyped-def]
-    """A step (not quite the longest) up to `most` that keeps value + step * change positive definite.
-
-    Trial factorisations on a grid that is finer towards long steps; `trial` is scratch of the same shape.
-    """
-    keep_apart()
-    if _stays(value, change, most, trial):
-        return most
-    low, high, middle = 0.0, most, 0.85 * most
-    for _ in range(halvings):
-        if _stays(value, change, middle, trial):
-            low = middle
-        else:
-            high = middle
-        middle = 0.5 * (low + high)
-    tiny = 0
-    while low == 0.0 and tiny < 6:
-        high *= 0.1
-        tiny += 1
-        if _stays(value, change, high, trial):
-            low = high
-    return low
-
-
-@inner
-def _stays(value, change, step, trial):  # type: ignore[no-untyped-def]
-    n = value.shape[0]
-    for i in range(n):
-        for j in range(i + 1):
-            trial[i, j] = value[i, j] + step * change[i, j]
-    return try_cholesky(trial)
-
-
-@inner
 def dot(a, b):  # type: ignore[no-untyped-def]
     """Inner product of two flat arrays."""
     total = 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from aerotube.sos.interior import cones, small
+from aerotube.sos.interior import cones, small, tiles
 from aerotube.sos.interior.compiled import inner, keep_apart
 from aerotube.sos.interior.layout import (
     DD,
@@ -36,7 +36,6 @@ from aerotube.sos.interior.layout import (
     block,
     decision,
     entries,
-    matrix_at,
     part,
 )  # fmt: skip
 from aerotube.sos.interior.state import BETA_OMEGA, HOMOGENEOUS, KAPPA, TAU, numbers, scratch
@@ -50,10 +49,11 @@ def longest_steps(lay, st, most, dtau, dkappa, halvings):  # type: ignore[no-unt
     for i in range(lay.con.shape[1]):
         kind = lay.con[KIND, i]
         for b in range(lay.con[FIRST, i], lay.con[LAST, i]):
-            trial = matrix_at(st.heap, lay.at[SCRATCH], lay.blk[ORDER, b], lay.blk[ORDER, b])
+            order = tiles.padded(lay.blk[ORDER, b])
+            trial = scratch(lay, st, SCRATCH, order * (order + 1))
             of_q, of_z = (primal, dual) if kind == SOS else (dual, primal)
-            of_q = small.longest_step(block(lay, st, Q, b), block(lay, st, DQ, b), of_q, halvings, trial)
-            of_z = small.longest_step(block(lay, st, Z, b), block(lay, st, DZ, b), of_z, halvings, trial)
+            of_q = tiles.longest_step(block(lay, st, Q, b), block(lay, st, DQ, b), of_q, halvings, trial)
+            of_z = tiles.longest_step(block(lay, st, Z, b), block(lay, st, DZ, b), of_z, halvings, trial)
             primal, dual = (of_q, of_z) if kind == SOS else (of_z, of_q)
         if kind in (NORM, LINEAR):
             s, y, ds, dy = part(lay, st, S, i), part(lay, st, Y, i), part(lay, st, DS, i), part(lay, st, DY, i)

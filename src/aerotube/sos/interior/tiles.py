@@ -1,4 +1,4 @@
-"""Schur complements of sampled constraints and their factors, made tile by tile (see `lanes`).
+"""Schur complements of sampled constraints, their factors, and trial factors, made tile by tile (see `lanes`).
 
 Orders are padded to whole tiles. All products have the form of a transpose times a matrix, whose rows are contiguous:
 the form in which a tile takes one load for each of its vectors and one for each of its rows.
@@ -76,3 +76,67 @@ def factor(a, a_at, row, order, columns, inverses, inverses_at):  # type: ignore
         if not eliminate_rows(a, a_at, row, j, end, columns, inverses, inverses_at):
             return False
     return True
+
+
+@inner
+def divide_by_transpose(a, row, order, inverses, x):  # type: ignore[no-untyped-def]
+    """Overwrite x by R'^-1 x, for the factor R in rows of a and the inverses of its diagonal."""
+    keep_apart()
+    for j in range(0, order, LANES):
+        lanes.solve_corner_transposed(a, j * row + j, row, inverses, j, x, j)
+        after = j + LANES
+        lanes.subtract_rows(a, j * row + after, row, order - after, x, after, j)
+
+
+@inner
+def divide(a, row, order, inverses, x):  # type: ignore[no-untyped-def]
+    """Overwrite x by R^-1 x."""
+    keep_apart()
+    for j in range(order - LANES, -1, -LANES):
+        after = j + LANES
+        lanes.subtract_products(a, j * row + after, row, order - after, x, after, j)
+        lanes.solve_corner(a, j * row + j, row, inverses, j, x, j)
+
+
+@inner
+def longest_step(value, change, most, halvings, room):  # type: ignore[no-untyped-def]
+    """A step (not quite the longest) up to `most` that keeps value + step * change positive definite.
+
+    Trial factorisations on a grid that is finer towards long steps; `room` is scratch for a padded matrix and its
+    pivots.
+    """
+    keep_apart()
+    if stays(value, change, most, room):
+        return most
+    low, high, middle = 0.0, most, 0.85 * most
+    for _ in range(halvings):
+        if stays(value, change, middle, room):
+            low = middle
+        else:
+            high = middle
+        middle = 0.5 * (low + high)
+    tiny = 0
+    while low == 0.0 and tiny < 6:
+        high *= 0.1
+        tiny += 1
+        if stays(value, change, high, room):
+            low = high
+    return low
+
+
+@inner
+def stays(value, change, step, room):  # type: ignore[no-untyped-def]
+    """Whether value + step * change is positive definite."""
+    keep_apart()
+    n = value.shape[0]
+    row = padded(n)
+    left, right = value.reshape(n * n), change.reshape(n * n)
+    for i in range(n):
+        # Left of the diagonal's tile nothing is read.
+        first = i // LANES * LANES
+        lanes.add_scaled_row(left, i * n + first, right, i * n + first, step, n - first, room, i * row + first)
+    for i in range(n, row):
+        for j in range(i // LANES * LANES, row):
+            room[i * row + j] = 0.0
+        room[i * (row + 1)] = 1.0
+    return eliminate_rows(room, 0, row, 0, row, row, room, row * row)
