@@ -25,6 +25,7 @@ def solve(
     deadline: float | None = None,
     workers: int = 1,
     threads: int = 1,
+    chain: int = 1,
     tolerance: float = 1e-7,
     iterations: int = 100,
 ) -> Solution:
@@ -44,6 +45,10 @@ def solve(
     threads : int
         Threads over the constraints of each program, where they are large (``"aerotube"`` only). The numbers do not
         depend on it.
+    chain : int
+        Programs of a batch in a row of which each starts from where the one before was on its way (``"aerotube"``
+        only), which saves a quarter of the iterations where neighbours are alike, as the beats of a manoeuvre are.
+        The numbers depend on it within the tolerance, not on `workers`.
     tolerance : float
         Relative gap asked for; feasibility is asked to a tenth of it.
     iterations : int
@@ -65,8 +70,8 @@ def solve(
         raise ValueError(f"there is no backend '{backend}'; choose one of {BACKENDS}.")
     if deadline is not None and not deadline > 0.0:
         raise ValueError(f"the deadline must be positive, got {deadline} s.")
-    if workers < 1 or threads < 1:
-        raise ValueError(f"workers and threads must be at least 1, got {workers} and {threads}.")
+    if min(workers, threads, chain) < 1:
+        raise ValueError(f"workers, threads and chain must be at least 1, got {workers}, {threads} and {chain}.")
     seconds = np.inf if deadline is None else deadline
     if backend == "aerotube":
         from aerotube.sos.backends import interior
@@ -79,6 +84,7 @@ def solve(
             iterations=iterations,
             workers=workers,
             threads=threads,
+            chain=chain,
         )
         return Solution(structure, data, objective=objectives(data, found["values"]), backend=backend, **found)
     from aerotube.sos.backends import clarabel

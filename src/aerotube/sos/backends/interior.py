@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,8 @@ _STATUS = {-1: Status.TROUBLE, 0: Status.OPTIMAL, 2: Status.INFEASIBLE, 3: Statu
 _PRIMAL, _DUAL, _GAP = 0, 1, 2
 _LARGE = 150
 """Nodes of a constraint that is worth handing to another thread."""
+WARM_MOST = 30
+"""Iterations after which a warm start is given up."""
 _rooms: dict[tuple[Structure, int], list[State]] = {}
 _lock = threading.Lock()
 
@@ -99,42 +102,66 @@ class _Together:
         self._pool.shutdown()
 
 
+@dataclass(frozen=True)
+class _Limits:
+    """Accuracy asked for, seconds and iterations allowed, of each program."""
+
+    tolerance: float
+    seconds: float
+    iterations: int
+
+
 def _solve_one(
-    structure: Structure,
-    lay: Layout,
-    flat: Array,
-    out: Array,
-    tolerance: float,
-    seconds: float,
-    iterations: int,
-    together: _Together | None = None,
+    lay: Layout, state: State, flat: Array, out: Array, limits: _Limits, together: _Together | None, warm: bool
 ) -> tuple[float, bool]:
-    """Solve one program into `out`; return the seconds taken and whether the deadline stopped it."""
+    """Solve one program into `out`; return the seconds taken and whether the deadline stopped it.
+
+    If warm, it starts from where the program that was solved before in this memory was on its way. Where that does
+    not lead to an optimum, the program is solved afresh.
+    """
     start = time.perf_counter()
-    feasibility = min(1e-8, 0.1 * tolerance)
-    late = False
-    with _room(structure, lay) as state:
-        run.begin(lay, state, flat)
-        # With a deadline the clock is read after every iteration, and the next one is taken to last as long as the
-        # longest so far.
-        budget = iterations if np.isinf(seconds) else 1
-        longest, before = 0.0, time.perf_counter()
-        while not (
-            run.proceed(lay, state, feasibility, tolerance, iterations, budget)
-            if together is None
-            else together.proceed(lay, state, feasibility, tolerance, iterations)
-        ):
-            now = time.perf_counter()
-            longest, before = max(longest, now - before), now
-            if now - start + longest > seconds:
-                late = True
-                break
-        run.finish(lay, state, out)
-    return time.perf_counter() - start, late
+    late = _attempt(lay, state, flat, limits, together, warm, start)
+    if late is None:
+        late = _attempt(lay, state, flat, limits, together, False, start)
+    run.finish(lay, state, out)
+    return time.perf_counter() - start, bool(late)
+
+
+def _attempt(
+    lay: Layout, state: State, flat: Array, limits: _Limits, together: _Together | None, warm: bool, start: float
+) -> bool | None:
+    """Whether the deadline stopped a solve; None if a warm start led nowhere."""
+    feasibility = min(1e-8, 0.1 * limits.tolerance)
+    warm = run.begin(lay, state, flat, warm)
+    most = min(WARM_MOST, limits.iterations) if warm else limits.iterations
+    # With a deadline the clock is read after every iteration, and the next one is taken to last as long as the
+    # longest so far.
+    budget = most if np.isinf(limits.seconds) else 1
+    longest, before = 0.0, time.perf_counter()
+    while not (
+        run.proceed(lay, state, feasibility, limits.tolerance, most, budget)
+        if together is None
+        else together.proceed(lay, state, feasibility, limits.tolerance, most)
+    ):
+        if warm and run.embedded(state):
+            return None
+        now = time.perf_counter()
+        longest, before = max(longest, now - before), now
+        if now - start + longest > limits.seconds:
+            return True
+    return None if warm and not run.optimal(state) else False
 
 
 def solve(
-    structure: Structure, data: Data, *, tolerance: float, seconds: float, iterations: int, workers: int, threads: int
+    structure: Structure,
+    data: Data,
+    *,
+    tolerance: float,
+    seconds: float,
+    iterations: int,
+    workers: int,
+    threads: int,
+    chain: int,
 ) -> dict[str, Any]:
     """Solve a batch; fields of `aerotube.sos.Solution` by name.
 
@@ -151,6 +178,8 @@ def solve(
         Threads over the batch.
     threads : int
         Threads over the constraints of each program.
+    chain : int
+        Programs in a row of which each starts from the one before.
     """
     lay = layout(structure)
     flat = flatten(data, lay)
@@ -158,31 +187,41 @@ def solve(
     length = run.NUMBERS + m + int(lay.at[MATRICES]) + int(lay.at[VECTORS])
     out = np.empty((count, length))
     taken, late = np.zeros(count), np.zeros(count, dtype=bool)
+    limits = _Limits(tolerance, seconds, iterations)
+    together = threads > 1 and _Together.pays(lay)
 
-    def work(k: int) -> None:
-        together = _Together(lay, threads) if threads > 1 and _Together.pays(lay) else None
+    def work(first: int) -> None:
+        others = _Together(lay, threads) if together else None
         try:
-            taken[k], late[k] = _solve_one(structure, lay, flat[k], out[k], tolerance, seconds, iterations, together)
+            with _room(structure, lay) as state:
+                for k in range(first, min(first + chain, count)):
+                    taken[k], late[k] = _solve_one(lay, state, flat[k], out[k], limits, others, k > first)
         finally:
-            if together is not None:
-                together.close()
+            if others is not None:
+                others.close()
 
     # BLAS threads would fight with one another and with ours; one solve keeps to one core.
     with _single_threaded_blas:
-        if count and not run.finish.nopython_signatures:
-            # Compiling, or loading what was compiled, is no part of a solve's time, nor of its deadline.
-            _solve_one(structure, lay, flat[0], out[0], tolerance, np.inf, 1)
-        if count and threads > 1 and _Together.pays(lay) and not run.close_step.nopython_signatures:
-            first = _Together(lay, threads)
-            _solve_one(structure, lay, flat[0], out[0], tolerance, np.inf, 1, first)
-            first.close()
-        if workers == 1 or count == 1:
-            for k in range(count):
+        if count and not (run.finish.nopython_signatures and (run.close_step.nopython_signatures or not together)):
+            _compile(structure, lay, flat[0], out[0], together)
+        if workers == 1 or count <= chain:
+            for k in range(0, count, chain):
                 work(k)
         else:
-            with ThreadPoolExecutor(min(workers, count)) as pool:
-                list(pool.map(work, range(count)))
+            with ThreadPoolExecutor(min(workers, -(-count // chain))) as pool:
+                list(pool.map(work, range(0, count, chain)))
     return _answers(structure, data, lay, out, taken, late)
+
+
+def _compile(structure: Structure, lay: Layout, flat: Array, out: Array, together: bool) -> None:
+    """Compile, or load what was compiled: no part of a solve's time, nor of its deadline."""
+    limits = _Limits(1e-7, np.inf, 1)
+    with _room(structure, lay) as state:
+        _solve_one(lay, state, flat, out, limits, None, False)
+        if together:
+            others = _Together(lay, 2)
+            _solve_one(lay, state, flat, out, limits, others, False)
+            others.close()
 
 
 class _SingleThreadedBlas:

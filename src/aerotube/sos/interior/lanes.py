@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import llvmlite.binding as llvm  # type: ignore[import-untyped]
-from llvmlite import ir  # type: ignore[import-untyped]
+import llvmlite.binding as llvm
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -127,7 +127,7 @@ class _Writer:
 
     def solve(self, tile: list[list[Any]], corner: Any, stride: Any, inverses: Any) -> list[list[Any]]:
         """R'^-1 tile, for the upper triangle R at `corner` with the inverses of its diagonal."""
-        builder, out = self.builder, []
+        builder, out = self.builder, list[list[Any]]()
         triangle = self.rows(corner, stride)
         for j in range(LANES):
             own = tile[j]

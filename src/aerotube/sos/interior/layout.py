@@ -31,17 +31,19 @@ KIND, ROWS, VECTOR, FIRST, LAST, COMPACT, FACTOR_AT, FLAT, GROUP, TARGET, FOLD =
 # Rows of Layout.blk, one column for each matrix block (Gram matrix or matrix inequality).
 ORDER, MATRIX, BASIS, WEIGHT, OWNER, TURNED = np.arange(6)
 # Matrix storages: one entry for each entry of each block.
-Q, Z, LQ, LZ, INVERSE, DQ, DZ, E, T, MISFIT, BEST_Q, KEPT_DQ, KEPT_DZ, SCALE, BACK, SURE_Q = np.arange(16)
+Q, Z, LQ, LZ, INVERSE, DQ, DZ, E, T, MISFIT, BEST_Q, KEPT_DQ, KEPT_DZ, SCALE, BACK, SURE_Q, NEXT_Q, NEXT_Z = np.arange(
+    18
+)
 # Vector storages: one entry for each node, cone entry and linear row.
-Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y, KEPT_DY, KEPT_DS, SURE_Y = np.arange(16, 29)
+Y, DY, S, DS, RESIDUAL, A, K2, W, ROOT, BEST_Y, KEPT_DY, KEPT_DS, SURE_Y, NEXT_Y, NEXT_S = np.arange(18, 33)
 # Decision storages, (m + 1) entries.
-D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D, KEPT_DD, SURE_D = np.arange(29, 39)
+D, DD, RHS, U2, RD, OBJECTIVE, COLUMN, BEST_D, KEPT_DD, SURE_D, NEXT_D = np.arange(33, 44)
 # The rest: data, factors, scratch.
-G, V, FACTOR, ROOM, TALL, WIDEQ, SCRATCH, SHORT = np.arange(39, 47)
-SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = np.arange(47, 53)
+G, V, FACTOR, ROOM, TALL, WIDEQ, SCRATCH, SHORT = np.arange(44, 52)
+SCHUR, SCHUR_FACTOR, LOCAL, EXTENT, ROW, NUMBER = np.arange(52, 58)
 # Sizes.
-M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, SPACE, FLATS, TURNS = np.arange(53, 62)
-_COUNT = 62
+M, VECTORS, MATRICES, GROUPS, LENGTH, DEGREE, SPACE, FLATS, TURNS = np.arange(58, 67)
+_COUNT = 67
 
 
 class Layout(NamedTuple):
@@ -60,7 +62,7 @@ class Layout(NamedTuple):
         place of P' (N x U, rows padded to whole tiles) after Layout.at[TURNS] in `numbers`.
     numbers : (...)
         Bases, weights, starting functionals (vector storage), norms of changes, log-determinant factors.
-    at : (62,)
+    at : (67,)
         Offset of each storage in the heap, and the sizes.
     """
 
@@ -135,7 +137,7 @@ def layout(structure: Structure) -> Layout:
     space = pad(nodes) * order + order * order
     room = max(4 * order * order + widest, pad(order) * (pad(order) + 1))
     lengths = np.array(
-        [matrices] * 16 + [vectors] * 13 + [m + 1] * 10
+        [matrices] * 18 + [vectors] * 15 + [m + 1] * 11
         + [compact, compact, factors, space, pad(nodes) * order, turning, room]
         + [4 * (pad(widest) + m + 1), (m + 1) ** 2, m * m, (m + 1) ** 2 * (1 + sampled), groups * (m + 1), groups, 24]
     )  # fmt: skip

@@ -88,7 +88,10 @@ from aerotube.sos.interior.state import (
 )  # fmt: skip
 
 SURE_BELOW, EXTRA_MOST = 0.5, 8
-ROUNDING = 1e-16
+ACCEPTED = 3.0
+"""An iterate within this factor of the tolerances is as good as an optimum, if it can be certified or nothing better
+can be had."""
+ROUNDING = 5e-16
 """Of values at the nodes, relative to the size of a constraint."""
 RAY_TOLERANCE = 1e-12
 RAY_ACCEPTED = 1e-9
@@ -225,9 +228,10 @@ def judge(lay, st, feasibility, optimality):  # type: ignore[no-untyped-def]
         keep(scratch(lay, st, Y, lay.at[VECTORS]), scale, scratch(lay, st, SURE_Y, lay.at[VECTORS]))
     if merit > 1.0:
         return RUNNING
-    # An optimum that cannot be certified yet is given a few more steps, which are towards the centre.
+    # An optimum that cannot be certified, nor one that is nearly as good, is given a few more steps, which are towards
+    # the centre.
     st.ints[EXTRA] += 1
-    return OPTIMAL if sure or st.ints[EXTRA] > EXTRA_MOST else RUNNING
+    return OPTIMAL if sure or number[SURE] <= ACCEPTED or st.ints[EXTRA] > EXTRA_MOST else RUNNING
 
 
 @inner

@@ -42,6 +42,7 @@ from aerotube.sos.interior.state import (
     numbers,
 )  # fmt: skip
 from aerotube.sos.interior.step import longest_steps, move, predicted, swap_direction
+from aerotube.sos.interior.warm import keep_for_next
 
 REACH = 0.99
 REFINE_BELOW = 1e-5
@@ -114,6 +115,7 @@ def ready(lay, st, feasibility, optimality):  # type: ignore[no-untyped-def]
         return False
     measure(lay, st)
     st.ints[STATUS] = judge(lay, st, feasibility, optimality)
+    keep_for_next(lay, st)
     return st.ints[STATUS] == RUNNING
 
 

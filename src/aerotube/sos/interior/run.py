@@ -33,7 +33,7 @@ from aerotube.sos.interior.layout import (
     entries,
     part,
 )  # fmt: skip
-from aerotube.sos.interior.measure import RAY_ACCEPTED, ray
+from aerotube.sos.interior.measure import ACCEPTED, RAY_ACCEPTED, ray
 from aerotube.sos.interior.method import advance, complete, ready
 from aerotube.sos.interior.schur import reduce_sampled
 from aerotube.sos.interior.state import (
@@ -45,6 +45,7 @@ from aerotube.sos.interior.state import (
     HOMOGENEOUS,
     INFEASIBLE,
     ITERATIONS,
+    NEXT,
     OMEGA,
     OPTIMAL,
     RUNNING,
@@ -59,22 +60,26 @@ from aerotube.sos.interior.state import (
     numbers,
     scratch,
 )  # fmt: skip
+from aerotube.sos.interior.warm import NONE, OTHERS, start_from_kept
 
 NUMBERS = 8
 """Length of the head of an answer: primal and dual residual, gap, status, iterations."""
 DIRECT, EMBEDDED = np.arange(2)
-ACCEPTED = 3.0
-"""A stalled solve within this factor of the tolerances counts as solved."""
 
 
 @entry
-def begin(lay, st, flat):  # type: ignore[no-untyped-def]
-    """Load a program and set the starting point."""
+def begin(lay, st, flat, warm):  # type: ignore[no-untyped-def]
+    """Load a program and set the starting point: if warm, on the way of the program before, which returns True."""
     scaling.unpack(lay, st, flat)
     number = numbers(lay, st)
     number[BEST] = number[BEST_PRIMAL] = number[BEST_DUAL] = number[BEST_GAP] = np.inf
     number[SURE] = number[SURE_VALUE] = np.inf
     state.start(lay, st, DIRECT)
+    kept = warm and st.ints[NEXT] != NONE
+    if kept:
+        start_from_kept(lay, st)
+    st.ints[NEXT] = OTHERS if kept else NONE
+    return kept
 
 
 @entry
@@ -105,6 +110,18 @@ def close_step(lay, st, optimality, limit):  # type: ignore[no-untyped-def]
     if st.ints[STATUS] == RUNNING:
         complete(lay, st, optimality)
     return settled(lay, st, limit)
+
+
+@entry
+def embedded(st):  # type: ignore[no-untyped-def]
+    """Whether the solve has gone over to the self-dual embedding."""
+    return st.ints[HOMOGENEOUS] == 1
+
+
+@entry
+def optimal(st):  # type: ignore[no-untyped-def]
+    """Whether the solve has ended at an optimum."""
+    return st.ints[STATUS] == OPTIMAL
 
 
 @inner

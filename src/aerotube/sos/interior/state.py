@@ -55,7 +55,7 @@ AMPLE = 200.0
 """Complementarity to start from, over what the objective could be: from high above the central path is near."""
 RUNNING, OPTIMAL, INFEASIBLE, UNBOUNDED, STALLED = -1, 0, 2, 3, 4
 # Places among the integers of a state.
-STATUS, ITERATIONS, HOMOGENEOUS, STALLS, EXTRA = np.arange(5)
+STATUS, ITERATIONS, HOMOGENEOUS, STALLS, EXTRA, NEXT = np.arange(6)
 # Places among its numbers.
 TAU, KAPPA, MU, PRIMAL, DUAL, GAP, PVALUE, DVALUE, STEP, BETA, OMEGA, DUAL_RAY, BEST, BETA_OMEGA = np.arange(14)
 GAP_RESIDUAL, PRIMAL_RAY, BEST_PRIMAL, BEST_DUAL, BEST_GAP, SURE = np.arange(14, 20)
