@@ -87,12 +87,12 @@ from aerotube.sos.interior.state import (
     values,
 )  # fmt: skip
 
-SURE_BELOW, EXTRA_MOST = 0.5, 8
-ACCEPTED = 3.0
-"""An iterate within this factor of the tolerances is as good as an optimum, if it can be certified or nothing better
-can be had."""
-ROUNDING = 5e-16
-"""Of values at the nodes, relative to the size of a constraint."""
+SURE_BELOW, EXTRA_FEW, EXTRA_MOST = 0.5, 2, 8
+ACCEPTED, CERTIFIED = 3.0, 10.0
+"""Within the first factor of the tolerances an iterate is as good as an optimum, if it can be certified or nothing
+better can be had; within the second, one that can be certified goes before an optimum that cannot."""
+UNIT, ROUNDING = 1.1e-16, 5e-16
+"""Of one operation, and of values at the nodes, relative to the size of a constraint."""
 RAY_TOLERANCE = 1e-12
 RAY_ACCEPTED = 1e-9
 """Error of a ray that is one if it gets no better."""
@@ -226,12 +226,12 @@ def judge(lay, st, feasibility, optimality):  # type: ignore[no-untyped-def]
         keep(scratch(lay, st, D, lay.at[M]), scale, scratch(lay, st, SURE_D, lay.at[M]))
         keep(scratch(lay, st, Q, lay.at[MATRICES]), scale, scratch(lay, st, SURE_Q, lay.at[MATRICES]))
         keep(scratch(lay, st, Y, lay.at[VECTORS]), scale, scratch(lay, st, SURE_Y, lay.at[VECTORS]))
-    if merit > 1.0:
+    if merit > 1.0 and (st.ints[EXTRA] == 0 or merit > CERTIFIED):
         return RUNNING
-    # An optimum that cannot be certified, nor one that is nearly as good, is given a few more steps, which are towards
-    # the centre.
+    # An optimum that cannot be certified, nor one that is nearly as good, is given a few more steps.
     st.ints[EXTRA] += 1
-    return OPTIMAL if sure or number[SURE] <= ACCEPTED or st.ints[EXTRA] > EXTRA_MOST else RUNNING
+    most = EXTRA_FEW if number[SURE] <= CERTIFIED else EXTRA_MOST
+    return OPTIMAL if sure or number[SURE] <= ACCEPTED or st.ints[EXTRA] > most else RUNNING
 
 
 @inner
@@ -260,6 +260,8 @@ def used_up(lay, st):  # type: ignore[no-untyped-def]
         if kind == NORM:
             residual, s = part(lay, st, RESIDUAL, i), part(lay, st, S, i)
             change = abs(residual[0]) + np.sqrt(small.dot(residual[1:], residual[1:]))
+            # The two sides are of the size of the first, each rounded as often as there are terms.
+            change += 2.0 * UNIT * (lay.at[M] + s.shape[0] + 8) * s[0]
             worst = max(worst, change / (s[0] - np.sqrt(small.dot(s[1:], s[1:]))))
         elif kind == LINEAR:
             residual, s = part(lay, st, RESIDUAL, i), part(lay, st, S, i)

@@ -27,6 +27,7 @@ from aerotube.sos.interior.layout import DEGREE
 from aerotube.sos.interior.measure import judge, measure
 from aerotube.sos.interior.schur import assemble, reduce_all
 from aerotube.sos.interior.state import (
+    EXTRA,
     GAP,
     HOMOGENEOUS,
     ITERATIONS,
@@ -45,6 +46,8 @@ from aerotube.sos.interior.step import longest_steps, move, predicted, swap_dire
 from aerotube.sos.interior.warm import keep_for_next
 
 REACH = 0.99
+AIMS = np.array([0.3, 2.0, 6.0])
+"""Gaps to aim at, over what is asked for, from an optimum that cannot be certified."""
 REFINE_BELOW = 1e-5
 COARSE, FINE, CORRECTORS = np.array([6, 8, 2])
 NO, YES = np.arange(2)
@@ -54,9 +57,12 @@ NO, YES = np.arange(2)
 def center(lay, st, primal, dual, optimality):  # type: ignore[no-untyped-def]
     """Share of the complementarity to aim at, from the steps that the predictor could take.
 
-    Not far below what is asked for: there the iterates lose the margins that certify them.
+    Not far below what is asked for: there the iterates lose the margins that certify them. From an optimum that cannot
+    be certified the way is back, to where margins are wider and the gap is still accepted.
     """
     keep_apart()
+    if st.ints[EXTRA] > 0:
+        return AIMS[min(st.ints[EXTRA] - 1, 2)] * optimality / numbers(lay, st)[GAP]
     if st.ints[HOMOGENEOUS] == 1:
         sigma = (1.0 - primal) ** 3
     else:

@@ -33,7 +33,7 @@ from aerotube.sos.interior.layout import (
     entries,
     part,
 )  # fmt: skip
-from aerotube.sos.interior.measure import ACCEPTED, RAY_ACCEPTED, ray
+from aerotube.sos.interior.measure import ACCEPTED, CERTIFIED, RAY_ACCEPTED, ray
 from aerotube.sos.interior.method import advance, complete, ready
 from aerotube.sos.interior.schur import reduce_sampled
 from aerotube.sos.interior.state import (
@@ -170,7 +170,7 @@ def finish(lay, st, out):  # type: ignore[no-untyped-def]
     out[0], out[1], out[2] = number[BEST_PRIMAL], number[BEST_DUAL], number[BEST_GAP]
     if status in (INFEASIBLE, UNBOUNDED):
         from_d, from_q, from_y = D, Q, Y
-    elif number[SURE] < (ACCEPTED if status == OPTIMAL else np.inf):
+    elif number[SURE] < (CERTIFIED if status == OPTIMAL else np.inf):
         # What can be certified goes before what is nearer to the optimum and cannot.
         from_d, from_q, from_y = SURE_D, SURE_Q, SURE_Y
         out[0], out[1], out[2] = number[SURE_PRIMAL], number[SURE_DUAL], number[SURE_GAP]
