@@ -39,8 +39,6 @@ _STATUS = {-1: Status.TROUBLE, 0: Status.OPTIMAL, 2: Status.INFEASIBLE, 3: Statu
 _PRIMAL, _DUAL, _GAP = 0, 1, 2
 _LARGE = 150
 """Nodes of a constraint that is worth handing to another thread."""
-WARM_MOST = 30
-"""Iterations after which a warm start is given up."""
 _rooms: dict[tuple[Structure, int], list[State]] = {}
 _lock = threading.Lock()
 
@@ -120,36 +118,30 @@ def _solve_one(
     not lead to an optimum, the program is solved afresh.
     """
     start = time.perf_counter()
-    late = _attempt(lay, state, flat, limits, together, warm, start)
-    if late is None:
-        late = _attempt(lay, state, flat, limits, together, False, start)
-    run.finish(lay, state, out)
-    return time.perf_counter() - start, bool(late)
-
-
-def _attempt(
-    lay: Layout, state: State, flat: Array, limits: _Limits, together: _Together | None, warm: bool, start: float
-) -> bool | None:
-    """Whether the deadline stopped a solve; None if a warm start led nowhere."""
     feasibility = min(1e-8, 0.1 * limits.tolerance)
-    warm = run.begin(lay, state, flat, warm)
-    most = min(WARM_MOST, limits.iterations) if warm else limits.iterations
-    # With a deadline the clock is read after every iteration, and the next one is taken to last as long as the
-    # longest so far.
-    budget = most if np.isinf(limits.seconds) else 1
+    if np.isinf(limits.seconds) and together is None:
+        run.through(lay, state, flat, warm, feasibility, limits.tolerance, limits.iterations, out)
+        return time.perf_counter() - start, False
+    warm, late = run.begin(lay, state, flat, warm), False
+    # The clock is read after every iteration, and the next one is taken to last as long as the longest so far.
     longest, before = 0.0, time.perf_counter()
-    while not (
-        run.proceed(lay, state, feasibility, limits.tolerance, most, budget)
-        if together is None
-        else together.proceed(lay, state, feasibility, limits.tolerance, most)
-    ):
-        if warm and run.embedded(state):
-            return None
+    while True:
+        most = min(run.WARM_MOST, limits.iterations) if warm else limits.iterations
+        if together is None:
+            done = run.proceed(lay, state, feasibility, limits.tolerance, most, 1)
+        else:
+            done = together.proceed(lay, state, feasibility, limits.tolerance, most)
+        if run.astray(lay, state, warm, done):
+            warm = run.begin(lay, state, flat, False)
+        elif done:
+            break
         now = time.perf_counter()
         longest, before = max(longest, now - before), now
         if now - start + longest > limits.seconds:
-            return True
-    return None if warm and not run.optimal(state) else False
+            late = True
+            break
+    run.finish(lay, state, out)
+    return time.perf_counter() - start, late
 
 
 def solve(
@@ -202,7 +194,7 @@ def solve(
 
     # BLAS threads would fight with one another and with ours; one solve keeps to one core.
     with _single_threaded_blas:
-        if count and not (run.finish.nopython_signatures and (run.close_step.nopython_signatures or not together)):
+        if count and not _compiled(together, np.isinf(seconds)):
             _compile(structure, lay, flat[0], out[0], together)
         if workers == 1 or count <= chain:
             for k in range(0, count, chain):
@@ -213,14 +205,21 @@ def solve(
     return _answers(structure, data, lay, out, taken, late)
 
 
+def _compiled(together: bool, unhurried: bool) -> bool:
+    """Whether what a solve calls has been compiled or loaded."""
+    if together:
+        return bool(run.close_step.nopython_signatures)
+    return bool((run.through if unhurried else run.astray).nopython_signatures)
+
+
 def _compile(structure: Structure, lay: Layout, flat: Array, out: Array, together: bool) -> None:
     """Compile, or load what was compiled: no part of a solve's time, nor of its deadline."""
-    limits = _Limits(1e-7, np.inf, 1)
     with _room(structure, lay) as state:
-        _solve_one(lay, state, flat, out, limits, None, False)
+        for seconds in (np.inf, 0.0):
+            _solve_one(lay, state, flat, out, _Limits(1e-7, seconds, 1), None, False)
         if together:
             others = _Together(lay, 2)
-            _solve_one(lay, state, flat, out, limits, others, False)
+            _solve_one(lay, state, flat, out, _Limits(1e-7, np.inf, 1), others, False)
             others.close()
 
 

@@ -65,6 +65,8 @@ from aerotube.sos.interior.warm import NONE, OTHERS, start_from_kept
 NUMBERS = 8
 """Length of the head of an answer: primal and dual residual, gap, status, iterations."""
 DIRECT, EMBEDDED = np.arange(2)
+WARM_MOST = 30
+"""Iterations after which a warm start is given up."""
 
 
 @entry
@@ -113,15 +115,9 @@ def close_step(lay, st, optimality, limit):  # type: ignore[no-untyped-def]
 
 
 @entry
-def embedded(st):  # type: ignore[no-untyped-def]
-    """Whether the solve has gone over to the self-dual embedding."""
-    return st.ints[HOMOGENEOUS] == 1
-
-
-@entry
-def optimal(st):  # type: ignore[no-untyped-def]
-    """Whether the solve has ended at an optimum."""
-    return st.ints[STATUS] == OPTIMAL
+def astray(lay, st, warm, done):  # type: ignore[no-untyped-def]
+    """Whether a warm start has led, or leads, anywhere but to an optimum."""
+    return warm and (st.ints[HOMOGENEOUS] == 1 or (done and st.ints[STATUS] != OPTIMAL))
 
 
 @inner
@@ -193,3 +189,17 @@ def finish(lay, st, out):  # type: ignore[no-untyped-def]
             for r in range(lay.con[ROWS, i]):
                 own = row[group + r] if kind == LINEAR else row[group]
                 out[vectors + lay.con[VECTOR, i] + r] = source[r] * own / omega
+
+
+@entry
+def through(lay, st, flat, warm, feasibility, optimality, limit, out):  # type: ignore[no-untyped-def]
+    """Solve a program from the beginning to the end, in one call: calls from the interpreter cost more than they do."""
+    warm = begin(lay, st, flat, warm)
+    while True:
+        most = min(WARM_MOST, limit) if warm else limit
+        done = proceed(lay, st, feasibility, optimality, most, most)
+        if astray(lay, st, warm, done):
+            warm = begin(lay, st, flat, False)
+        elif done:
+            break
+    finish(lay, st, out)
