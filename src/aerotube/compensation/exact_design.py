@@ -70,6 +70,7 @@ def _shape(task: Task, index: int, rows: Beats) -> Shape:
         weights=settings.weights,
         limits=where,
         corners=corners,
+        noisy=settings.noise_weight > 0,
     )
 
 
@@ -197,7 +198,7 @@ def _solved_together(task: Task, shape: Shape, data: GroupData, names: list[tupl
         )
         seconds += solution.seconds
         if turn + 1 < rounds:
-            data = replace(data, direction=joint_shape.direction(shape, solution, data.direction))
+            data = replace(data, direction=joint_shape.direction(shape, solution, data, scaling))
     feasible = solution.status == sos.Status.OPTIMAL
     coefficients = law_program.coefficients(shape, solution["K"], data, scaling)
     stopped = (solution.status == sos.Status.DEADLINE) & np.isfinite(coefficients).all((1, 2))

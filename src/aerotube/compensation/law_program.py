@@ -80,6 +80,8 @@ class Shape:
     limits : {"box", "ellipsoid", "none"}
     corners : int
         Of the set of measured errors on which a linear law's limits hold; zero where it is a box.
+    noisy : bool
+        Whether noise counts where the terminal ellipsoid is found together with the law.
     """
 
     states: int
@@ -92,6 +94,7 @@ class Shape:
     weights: tuple[tuple[str, float], ...]
     limits: str
     corners: int = 0
+    noisy: bool = False
 
     @property
     def domain(self) -> sos.Domain:
@@ -321,17 +324,37 @@ def _mean_square(
             for j in range(shape.carried):
                 constraints[f"mean/{s * shape.carried + j}"] = (constant[:, s, j], linear[:, s, j])
     objective[:, t.index] += weight
-    # t >= |y|^2 is |(2 y, t - 1)| <= t + 1, with y the entries of L K~ C in every beat, C C' the law's moments
-    factor = _cholesky(_law_moments(shape, data, heard))
-    m, M = K.shape
-    rows = np.zeros((len(objective), shape.steps * m * M + 1, compiled.size))
-    own = 2.0 * np.einsum("bgai,bgjc->bgacij", scaling.mean_root, factor)
-    rows[:, :-1, K.slice] = own.reshape(len(objective), -1, m * M)
+    constraints["effort"] = law_square(compiled, t, scaling.mean_root, _law_moments(shape, data, heard))
+    return constraints
+
+
+def law_square(compiled: sos.Structure, t: sos.Variable, root: Array, moments: Array) -> tuple[Array, ...]:
+    """Data of the norm constraint ``t >= sum over the beats of tr(L K~ M K~' L')``.
+
+    Parameters
+    ----------
+    compiled : sos.Structure
+    t : sos.Variable
+        A scalar.
+    root : ndarray (b, g, m, m)
+        L.
+    moments : ndarray (b, g, M, M)
+        M, positive semidefinite.
+
+    Returns
+    -------
+    tuple of ndarray
+    """
+    # t >= |y|^2 is |(2 y, t - 1)| <= t + 1, with y the entries of L K~ C in every beat, C C' = M
+    K = compiled.variable("K")
+    batch, steps = root.shape[:2]
+    rows = np.zeros((batch, steps * K.size + 1, compiled.size))
+    own = 2.0 * np.einsum("bgai,bgjc->bgacij", root, _cholesky(moments))
+    rows[:, :-1, K.slice] = own.reshape(batch, -1, K.size)
     rows[:, -1, t.index] = 1.0
     shift, bound = np.zeros(rows.shape[1]), np.zeros(compiled.size)
     shift[-1], bound[t.index] = -1.0, 1.0
-    constraints["effort"] = (rows, shift, bound, np.ones(()))
-    return constraints
+    return rows, shift, bound, np.ones(())
 
 
 def _law_moments(shape: Shape, data: GroupData, heard: Array) -> Array:

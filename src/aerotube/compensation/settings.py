@@ -76,7 +76,8 @@ class SynthesisSettings:
         whatever the two errors are in the set on which limits hold.
     noise_weight : float
         Mean square of the measurement noise over that of the disturbance set; 1 where both are uniform in the
-        same box.
+        same box. It counts in every size of the exact map; the increment form, the paper's,
+        knows no noise and leaves it aside.
     limits : {"box", "ellipsoid"}
         On which set the law must keep the controls within their limits: the disturbance box, or the whole
         ellipsoid around it.

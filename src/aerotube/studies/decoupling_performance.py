@@ -65,7 +65,8 @@ def study(bench: Bench) -> Outcome:
         notes=(
             "The paper explains its better decoupled law by more accurate computations on the smaller problems. "
             "Here both programs are solved to the same certified accuracy, so only what decoupling leaves out "
-            "remains: the law of a half does not see the other half's error. It knows what its own error lets expect of it.",
+            "remains: the law of a half does not see the other half's error. It knows what its own error lets "
+            "expect of it.",
             "The paper's coupled figure of 0.33 is with one-step control reuse; ours are without.",
         ),
         tables=(
