@@ -80,6 +80,7 @@ def test_a_polynomial_law_is_its_polynomial_on_the_set_and_goes_on_straight_beyo
     direct = np.einsum("bim,bum->bui", table, monomials.values(near, powers))
     np.testing.assert_allclose(law.increments(np.arange(2), near), direct, rtol=1e-12)
     np.testing.assert_allclose(law.increment(1, near[1]), direct[1], rtol=1e-12)
+    np.testing.assert_allclose(law.increment(1, near[1, 0]), direct[1, 0], rtol=1e-12)
     beyond = 50.0 * (table[:, :, 0] + table[:, :, 8] + table[:, :, 9])
     np.testing.assert_allclose(law.increments(np.arange(2), far)[:, 0], beyond, rtol=1e-12)
     np.testing.assert_allclose(law.gains, table[..., :8])

@@ -32,6 +32,21 @@ class LinearLaw:
     coordinates: ErrorCoordinates
     room: Array | None = None
 
+    @property
+    def coefficients(self) -> Array:
+        """Coefficients (T, 4, 8) of its monomials, which are the errors; as of :class:`PolynomialLaw`."""
+        return self.gains
+
+    @property
+    def exponents(self) -> NDArray[np.int64]:
+        """Powers (8, 8) of the errors in each monomial."""
+        return np.eye(8, dtype=np.int64)
+
+    @property
+    def unwhitening(self) -> None:
+        """It is linear everywhere."""
+        return None
+
     def increment(self, beat: int, error: Array) -> Array:
         """Increments at a beat.
 
@@ -125,7 +140,7 @@ class PolynomialLaw:
         for part, factor in zip(self.parts, beyond, strict=False):
             table[list(part)] /= factor
         for row, (earlier, last) in enumerate(self._factors, start=8):
-            np.multiply(table[earlier], table[last], out=table[row])
+            table[row] = table[earlier] * table[last]
         for part, factor in zip(self.parts, beyond, strict=False):
             table[self.exponents[:, list(part)].any(axis=1)] *= factor
         return table
