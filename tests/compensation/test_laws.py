@@ -183,7 +183,8 @@ def test_a_rate_that_cannot_be_kept_is_named():
         ({"size": {"worst-case": -1.0}}, "worst-case"),
         ({"size": {}}, "empty"),
         ({"saturation": 0.5}, "saturation"),
-        ({"formulation": "increment", "reuse": 1}, "reuse"),
+        ({"formulation": "increment", "reuse": 1}, "cannot share a law.*choose reuse = 0"),
+        ({"coupling": "carried", "law_degree": 2}, "at their worst only where the size is"),
         ({"steps": "four"}, "steps"),
     ],
 )

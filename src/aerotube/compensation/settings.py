@@ -66,7 +66,7 @@ class SynthesisSettings:
         Degree of the law, 1 to 3. The sums of squares get twice that degree at least.
     reuse : int
         Beats for which a law is used again after its own (the paper's Section 3.1): one program serves ``reuse +
-        1`` beats.
+        1`` beats. Of the exact map only: the increment form's program has the ellipsoids of one beat.
     saturation : float
         How many times its limits a law may ask for where they must hold, at least 1. Beyond 1 the law cuts itself off
         at its limits, and the cut is in the closed loop that is measured.
@@ -198,7 +198,11 @@ class SynthesisSettings:
                 "'worst-case'; choose that, or the coupling 'expected'."
             )
         if self.formulation == "increment" and self.reuse:
-            raise InputError("synthesis: the increment form knows no reuse; choose reuse = 0, or the exact map.")
+            raise InputError(
+                "synthesis: the increment form's program is of one beat and cannot share a law with others, which would "
+                "each need an initial and a terminal ellipsoid of their own in it; choose reuse = 0, or the formulation "
+                "'exact-map'."
+            )
         if not 1.0 <= self.saturation < float("inf"):
             raise InputError(f"synthesis: saturation is {self.saturation}; it must be at least 1.")
         if self.rate_limits is not None:
