@@ -199,9 +199,9 @@ class SynthesisSettings:
             )
         if self.formulation == "increment" and self.reuse:
             raise InputError(
-                "synthesis: the increment form's program is of one beat and cannot share a law with others, which would "
-                "each need an initial and a terminal ellipsoid of their own in it; choose reuse = 0, or the formulation "
-                "'exact-map'."
+                "synthesis: the increment form's program is of one beat and cannot share a law with others, which "
+                "would each need an initial and a terminal ellipsoid of their own in it; choose reuse = 0, or the "
+                "formulation 'exact-map'."
             )
         if not 1.0 <= self.saturation < float("inf"):
             raise InputError(f"synthesis: saturation is {self.saturation}; it must be at least 1.")

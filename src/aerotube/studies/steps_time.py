@@ -30,7 +30,7 @@ MEASURED, PREDICTED = (1, 2), (8, 16, 32)
 
 #: Beats of a window, as many as the paper computes at once, and how often each form is timed.
 WINDOW = 16
-WINDOWS = {"exact map": 40, "increment form": 10}
+WINDOWS = {"exact map": 100, "increment form": 100}
 
 
 @dataclass(frozen=True)
