@@ -96,7 +96,9 @@ def study(bench: Bench) -> Outcome:
     faster = "three" if exact[32][1] < exact[32][0] else "two"
     return Outcome(
         dataset=_dataset(found),
-        figure=distributions_figure(f"Time of the laws of {WINDOW} beats, both halves", samples, 4, groups),
+        figure=distributions_figure(
+            f"Time of the laws of a window of {WINDOW} beats, both halves", samples, 4, groups, "windows"
+        ),
         caption="Distributions of times with two and three steps over the number of threads (Fig. 13).",
         compared=tuple(rows),
         verdict=(
