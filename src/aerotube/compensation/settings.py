@@ -63,7 +63,8 @@ class SynthesisSettings:
     shape : {"cost-to-go", "riccati"}
         The metric in which the error at the end of a beat is measured, see :mod:`aerotube.tube.shapes`.
     law_degree : int
-        Degree of the law, 1 to 3. The sums of squares get twice that degree at least.
+        Degree of the law, 1 to 3. The sums of squares get twice that degree at least. On the manoeuvre of Table 2 laws
+        of degree 2 and 3 fly better than linear ones, by 0.4 to 4 percent.
     reuse : int
         Beats for which a law is used again after its own (the paper's Section 3.1): one program serves ``reuse +
         1`` beats. Of the exact map only: the increment form's program has the ellipsoids of one beat.
