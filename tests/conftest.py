@@ -22,6 +22,7 @@ def made_up_law(rng: np.random.Generator, certificate: str = "sampled") -> Law:
     factor = root / widths[:, None, :]
     shapes = np.swapaxes(factor, -1, -2) @ factor
     nominal_rho = 1.0 + rng.random(shape)
+    gains = rng.standard_normal((BEATS, 4, 8))
     return Law(
         parts=HALVES,
         initial_shape=np.broadcast_to(np.array([np.diag(1 / w**2) for w in widths]), (*shape, 4, 4)),
@@ -33,7 +34,12 @@ def made_up_law(rng: np.random.Generator, certificate: str = "sampled") -> Law:
         metric=shapes,
         size=0.3 * nominal_rho,
         size_nominal=nominal_rho,
-        gains=rng.standard_normal((BEATS, 4, 8)),
+        gains=gains,
+        coefficients=gains,
+        exponents=np.eye(8, dtype=np.int64),
+        coordinates="relative",
+        room=None,
+        reach=None,
         feasible=np.ones(shape, dtype=bool),
         solve_seconds=0.01 + 0.001 * rng.random(shape),
         certificate=np.full(shape, certificate),

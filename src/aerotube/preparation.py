@@ -14,7 +14,7 @@ from aerotube.aircraft.rigid_body import flow_angles, velocity_from_flow
 from aerotube.errors import InputError
 from aerotube.numerics import euler_from_quaternion, quaternion_from_euler
 from aerotube.results import CALM, ESTIMATOR, NOISE
-from aerotube.tube import DisturbanceBox
+from aerotube.tube import DisturbanceSet, disturbance_set
 from aerotube.units import DISPLAY
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ class Prepared:
     model : Aircraft
         What the laws are computed on.
     nominal : nominal.Nominal
-    disturbance : DisturbanceBox
+    disturbance : DisturbanceSet
     draws : flight.Draws
         Of all seeds.
     settings : dict of SynthesisSettings
@@ -51,7 +51,7 @@ class Prepared:
     rigid: Aircraft
     model: Aircraft
     nominal: nominal.Nominal
-    disturbance: DisturbanceBox
+    disturbance: DisturbanceSet
     draws: flight.Draws
     settings: dict[str, compensation.SynthesisSettings]
     gusts: flight.Dryden | None
@@ -93,17 +93,24 @@ def prepare(source: scenario.Source) -> Prepared:
     reference = make_nominal(source, rigid)
     reference.check(rigid)
     reference.check(model)
-    box = DisturbanceBox(np.array(chosen.disturbance.half_widths), relative)
-    draws = flight.draw(
+    errors = disturbance_set(
+        chosen.disturbance.set,
         chosen.disturbance.half_widths,
+        relative,
+        matrix=chosen.disturbance.matrix,
+        inequalities=chosen.disturbance.terms,
+    )
+    draws = flight.draw(
+        errors.half_widths,
         chosen.draws.seed_values,
         chosen.draws.runs,
+        initial=None if chosen.disturbance.set == "box" else errors.sample,
         **drawn_parameters(chosen.disturbance, rigid),
     )
     settings: dict[str, compensation.SynthesisSettings] = {
         key: compensation.SynthesisSettings(**chosen.synthesis.setting(key)) for key in SETTINGS
     }
-    return Prepared(source, plant, rigid, model, reference, box, draws, settings, _gusts(source, reference))
+    return Prepared(source, plant, rigid, model, reference, errors, draws, settings, _gusts(source, reference))
 
 
 def _gusts(source: scenario.Source, reference: nominal.Nominal) -> flight.Dryden | None:

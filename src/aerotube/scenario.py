@@ -11,8 +11,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from aerotube import inequality
 from aerotube.errors import InputError
 from aerotube.units import quantity_parser
 
@@ -112,9 +113,16 @@ class Nominal(_Section):
         return self
 
 
-class Disturbance(_Section):
-    """Half-widths of the disturbance box (SI), and largest relative changes of uncertain quantities."""
+#: The errors of the disturbance set, in the order of the error state.
+ERRORS = ("V", "alpha", "q", "theta", "beta", "p", "r", "phi")
 
+
+class Disturbance(_Section):
+    """The disturbance set by half-widths (SI), and largest relative changes of uncertain quantities."""
+
+    set: Literal["box", "ellipsoid", "polytope", "semialgebraic"] = "box"
+    matrix: list[list[float]] | None = None
+    inequalities: list[str] | None = None
     V: Annotated[Speed, Field(gt=0.0)]
     alpha: Annotated[Angle, Field(gt=0.0)]
     q: Annotated[Rate, Field(gt=0.0)]
@@ -132,6 +140,41 @@ class Disturbance(_Section):
     def half_widths(self) -> tuple[float, ...]:
         """The eight half-widths in the order of the error state."""
         return (self.V, self.alpha, self.q, self.theta, self.beta, self.p, self.r, self.phi)
+
+    @property
+    def terms(self) -> list[dict[tuple[int, ...], float]]:
+        """The inequalities as polynomials of errors in units of the half-widths, not negative on the set."""
+        return [inequality.parse(text, ERRORS) for text in self.inequalities or ()]
+
+    @field_validator("matrix")
+    @classmethod
+    def _square(cls, rows: list[list[float]] | None) -> list[list[float]] | None:
+        if rows is not None and (len(rows) != 8 or any(len(row) != 8 for row in rows)):
+            raise ValueError(f"expected 8 rows of 8 numbers, in the order {', '.join(ERRORS)}")
+        return rows
+
+    @field_validator("inequalities")
+    @classmethod
+    def _readable(cls, texts: list[str] | None) -> list[str] | None:
+        for text in texts or ():
+            inequality.parse(text, ERRORS)
+        return texts
+
+    @model_validator(mode="after")
+    def _kind_is_given(self) -> Disturbance:
+        cut = self.set in ("polytope", "semialgebraic")
+        if cut and not self.inequalities:
+            raise ValueError(
+                f'set = "{self.set}" needs disturbance.inequalities; add some, such as ["V + alpha <= 1.5"]'
+            )
+        if self.inequalities is not None and not cut:
+            raise ValueError(
+                'disturbance.inequalities belong to set = "polytope" or "semialgebraic", not to '
+                f'"{self.set}"; remove them'
+            )
+        if self.matrix is not None and self.set != "ellipsoid":
+            raise ValueError(f'disturbance.matrix belongs to set = "ellipsoid", not to "{self.set}"; remove it')
+        return self
 
     @property
     def relative(self) -> dict[str, float]:
@@ -180,7 +223,7 @@ class Setting(_Section):
     control_weight: float | None = Field(default=None, gt=0.0)
     least_expected: float | None = Field(default=None, gt=0.0)
     attitude: Literal["relative", "euler"] | None = None
-    coupling: Literal["dropped", "carried"] | None = None
+    coupling: Literal["expected", "dropped", "carried"] | None = None
     certificate: Literal["polynomial only", "sampled", "rigorous"] | None = None
     gust: Annotated[Speed, Field(ge=0.0)] | None = None
     gust_rotation: Annotated[Rate, Field(ge=0.0)] | None = None

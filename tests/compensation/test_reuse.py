@@ -45,25 +45,35 @@ def test_for_small_errors_the_law_is_the_best_compromise_of_its_beats():
     ground = groundwork(plane, nominal, TINY, settings)
     for index, part in enumerate(DECOUPLED):
         e, c = list(part.errors), list(part.controls)
-        hessian, slope, parts = np.zeros((8, 8)), np.zeros(8), []
+        hessian, slope, constant = np.zeros((8, 8)), np.zeros(8), 0.0
         for t in range(2):
-            A, B = ground.linear.A[t][np.ix_(e, e)], ground.linear.B[t][np.ix_(e, c)]
-            P, M, V = (
-                x[np.ix_(e, e)]
-                for x in (ground.expected.cost[t + 1], ground.expected.moment[t], ground.expected.noise[t])
+            expected = ground.expected
+            P, M, V = expected.cost[t + 1], expected.moment[t], expected.noise[t][np.ix_(e, e)]
+            B = np.zeros((len(P), 4))
+            B[:8] = ground.linear.B[t]
+            others = expected.gain[t].copy()
+            others[c] = 0.0
+            open_loop = expected.step[t].copy()
+            open_loop[:, :8] += B @ others
+            R = ground.effort[t][np.ix_(c, c)] + B[:, c].T @ P @ B[:, c]
+            hessian += np.kron(R, M[np.ix_(e, e)] + V)
+            slope += (B[:, c].T @ P @ open_loop @ M[:, e]).ravel()
+            # what the own errors tell, and what an extreme of the parameters does besides
+            told = M[:, e] @ np.linalg.solve(M[np.ix_(e, e)], M[e])
+            constant += np.trace(P @ open_loop @ told @ open_loop.T)
+            constant += (
+                expected.step[t][:8, 8]
+                @ P[:8, :8]
+                @ expected.step[t][:8, 8]
+                * np.trace(
+                    np.linalg.inv(ground.parts[index].initial.whitening[t])
+                    @ M[np.ix_(e, e)]
+                    @ np.linalg.inv(ground.parts[index].initial.whitening[t]).T
+                )
             )
-            T = ground.parts[index].initial.whitening[t]
-            M = M + settings.least_expected / 4 * T @ T.T
-            R = ground.effort[t][np.ix_(c, c)] + B.T @ P @ B
-            hessian += np.kron(R, M + V)
-            slope += (B.T @ P @ A @ M).ravel()
-            parts.append((A, P, M, R, V, B))
 
-        def cost(K, parts=parts):
-            return sum(
-                np.trace(A.T @ P @ A @ M) + 2 * np.trace(K.T @ B.T @ P @ A @ M) + np.trace(K.T @ R @ K @ (M + V))
-                for A, P, M, R, V, B in parts
-            )
+        def cost(K, hessian=hessian, slope=slope, constant=constant):
+            return constant + 2 * slope @ K.ravel() + K.ravel() @ hessian @ K.ravel()
 
         best = -np.linalg.solve(hessian, slope).reshape(2, 4)
         law = result.law.gains[0][np.ix_(c, e)]

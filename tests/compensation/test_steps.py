@@ -6,7 +6,9 @@ import pytest
 from aerotube import sos
 from aerotube.compensation import SynthesisSettings, design, exact_map
 from aerotube.compensation.closed_loop import end_errors
+from aerotube.compensation.groundwork import groundwork
 from aerotube.compensation.reasons import why
+from aerotube.compensation.settings import DECOUPLED
 from aerotube.compensation.terminal import terminal_ellipsoid
 from tests.samples import BOX, aircraft, table2
 
@@ -20,8 +22,6 @@ def made(workers=1, **settings):
 def ends(result, index):
     part = result.settings.parts[index]
     plane, nominal = aircraft(), table2(BEATS)
-    from aerotube.compensation.groundwork import groundwork
-
     ground = groundwork(plane, nominal, BOX, result.settings)
     nodes = exact_map.size_structure(4, 2, 4).nodes("tube/0")
     points = np.einsum("bij,uj->bui", ground.parts[index].initial.whitening, nodes)
@@ -114,3 +114,26 @@ def test_an_infeasible_program_says_which_requirements_collide():
     assert "limit of the elevator" in text
     assert "limit of the thrust" in text
     assert "missed by" in text
+
+
+@pytest.mark.parametrize("size", ["trace", "volume"])
+def test_noise_counts_where_the_ellipsoid_is_found_with_the_law(size):
+    """The law told of noise is worth more than the one that is not, noise counted for both by its own covariance."""
+    plane, nominal = aircraft(), table2(BEATS)
+    settings = {"size": size, "shape": "riccati", "control_weight": 1e-6}  # a metric that does not know of noise
+    deaf, told = made(**settings), made(noise_weight=1.0, **settings)
+    ground = groundwork(plane, nominal, BOX, told.settings)
+
+    def heard(result, index, part):
+        """Covariance that noise adds at the end, in the metric: (beats, n, n)."""
+        e, c = list(part.errors), list(part.controls)
+        root = np.swapaxes(np.linalg.cholesky(result.metric[index]), 1, 2)
+        moved = root[:, None] @ ground.input_map[:, :, e][..., c] @ result.law.gains[:, None][:, :, c][..., e]
+        return (moved @ ground.expected.noise[:, None][:, :, e][..., e] @ np.swapaxes(moved, -1, -2)).mean(1)
+
+    for index, part in enumerate(DECOUPLED):
+        added = [np.trace(heard(result, index, part), axis1=1, axis2=2) for result in (deaf, told)]
+        assert (added[1] < added[0]).all()
+        if size == "trace":
+            assert (told.bound[:, index] <= (deaf.bound[:, index] + added[0]) * (1 + 1e-5)).all()
+            assert (told.bound[:, index] >= (deaf.bound[:, index] + added[1]) * (1 - 1e-5)).all()

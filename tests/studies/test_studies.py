@@ -184,3 +184,24 @@ def test_the_command_says_what_it_found_and_names_mistakes(tmp_path, capsys):
     assert end.value.code == 2
     assert "no study 'coeficients'" in capsys.readouterr().err
     assert not (tmp_path / "other").exists()
+
+
+def test_progress_is_told_where_the_words_change_or_a_percent_is_done(tmp_path, monkeypatch):
+    """A study that tells a thousand times, in four sets of words, of which each is told at most once a percent."""
+
+    def talkative(bench):
+        for step in range(1000):
+            bench.tell(f"part {step // 250}", step / 1000)
+        raise ComputationError("enough was told.")
+
+    monkeypatch.setattr(
+        job, "STUDIES", {"talk": type("Talk", (), {"share": 3.0, "__call__": lambda _, b: talkative(b)})()}
+    )
+    told = []
+    done = job.run(["talk"], tmp_path, runs=1, seeds=1, progress=lambda words, share: told.append((words, share)))
+    assert done.problems == ["talk: enough was told."]
+    assert {words for words, _ in told} == {"talk"} | {f"talk: part {i}" for i in range(4)}
+    assert 90 <= len(told) <= 105
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    assert shares[-1] >= 0.98

@@ -40,7 +40,7 @@ def others_at_worst(task: Task, index: int, beats: Beats) -> Array:
 
 
 def map_values(task: Task, index: int, beats: Beats, points: Array) -> Array:
-    """Errors (b, k c, U, n) of a part at the end without compensation, from points (b, U, n) of its own.
+    """All errors (b, c k, U, 8) at the end without compensation, from points (b, U, n) of a part's own.
 
     One for each extreme of the parameters, for each of the `count` errors of the other parts in turn.
     """
@@ -51,7 +51,15 @@ def map_values(task: Task, index: int, beats: Beats, points: Array) -> Array:
     return np.concatenate(
         [
             end_errors(
-                task.aircraft, task.nominal, beats, ground.coordinates, part, points, ground.vertices, others=other
+                task.aircraft,
+                task.nominal,
+                beats,
+                ground.coordinates,
+                part,
+                points,
+                ground.vertices,
+                others=other,
+                of=tuple(range(8)),
             )
             for other in others
         ],

@@ -36,6 +36,7 @@ def end_errors(
     vertices: Array,
     law: BatchLaw | None = None,
     others: Array | None = None,
+    of: tuple[int, ...] | None = None,
 ) -> Array:
     """Errors of a part at the end of beats.
 
@@ -54,6 +55,8 @@ def end_errors(
         None: the nominal controls alone.
     others : ndarray (b, 8), optional
         The other parts' errors at the start; zero by default.
+    of : tuple of int, optional
+        Indices of the errors that are asked for; the part's by default.
 
     Returns
     -------
@@ -72,4 +75,4 @@ def end_errors(
         increment=None if law is None else law.increments(beats, error),
         parameters=np.broadcast_to(vertices[None, :, None, :], (len(beats), len(vertices), 1, vertices.shape[1])),
     )
-    return np.ascontiguousarray(end[..., part.errors])
+    return np.ascontiguousarray(end[..., part.errors if of is None else of])

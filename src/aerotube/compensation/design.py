@@ -48,8 +48,9 @@ class Design:
     messages : list of str
         One sentence for each failure.
     bound : ndarray (b, parts)
-        The optimal value of each program, as the solver reports it: the majorant that was minimised, effort
-        included. With reuse, that of all beats which share the law.
+        The optimal value of each program, as the solver reports it, effort included: the majorant that was minimised,
+        or the expectation of a law of higher degree with what its curvature was charged (so that values compare
+        between laws of the same degree). With reuse, that of all beats which share the law.
     step_seconds : ndarray (b, parts, steps)
         Time in the solver, of one part of one beat: for the law and, in three steps, for the terminal ellipsoid. With
         reuse, the beats which share a law share its time equally.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube import sos
-from aerotube.compensation import carried, joint_shape, law_program, limits
+from aerotube.compensation import carried, expectation, joint_shape, law_program, limits, monomials
 from aerotube.compensation.groundwork import taken
 from aerotube.compensation.law_program import GroupData, Shape
 from aerotube.compensation.settings import Part
@@ -63,12 +63,14 @@ def _shape(task: Task, index: int, rows: Beats) -> Shape:
         states=len(part.errors),
         controls=len(part.controls),
         vertices=len(task.ground.vertices) * carried.count(task),
+        carried=carried.count(task),
         steps=steps,
         law_degree=settings.law_degree,
         degree=max(settings.degree, 2 * (settings.law_degree if worst else (settings.law_degree + 1) // 2)),
         weights=settings.weights,
         limits=where,
         corners=corners,
+        noisy=settings.noise_weight > 0,
     )
 
 
@@ -100,7 +102,8 @@ def _group_data(task: Task, index: int, shape: Shape, rows: Beats) -> GroupData:
         return np.asarray(inside.reshape(*lead, len(e), len(e)))
 
     points = np.einsum("bij,uj->bui", initial.whitening, law_program.nodes(shape))
-    values = carried.map_values(task, index, beats, points)
+    end = carried.map_values(task, index, beats, points)
+    values = np.ascontiguousarray(end[..., e])
     whitening = initial.whitening.reshape(*lead, *initial.whitening.shape[1:])
     seen = ground.seen[rows][..., e]
     lower, upper = own.lower[rows].max(1), own.upper[rows].min(1)
@@ -112,13 +115,19 @@ def _group_data(task: Task, index: int, shape: Shape, rows: Beats) -> GroupData:
     growth = (seen / widths).max(-1)
     if not isinstance(task.disturbance, DisturbanceBox):
         growth = initial.seen_growth(measurement_box(task, part, beats)).reshape(lead)
+    pushed = ground.input_map[beats][..., c] * np.repeat(usable, rows.shape[1], axis=0)[:, None, None]
+    weights = np.zeros(len(points[0]))
+    if shape.law_degree > 1:
+        points, weights = _cubature(task, index, shape, beats)
+        end = carried.map_values(task, index, beats, points)
+    cost = expectation.mean_square(task, index, beats, points, end, pushed)
+    unwhitening = np.linalg.inv(whitening[:, 0])
     corners = np.zeros((len(rows), 0, len(e)))
     if shape.corners:
         corners = _corners(task, index, beats).reshape(len(rows), -1, len(e))
     return GroupData(
         map_values=values.reshape(*lead, *values.shape[1:]),
-        input_map=np.tile(ground.input_map[rows][:, :, :, e[:, None], c], (1, 1, carried.count(task), 1, 1))
-        * usable[:, None, None, None, :],
+        input_map=np.tile(pushed[:, :, e], (1, shape.carried, 1, 1)).reshape(*lead, -1, len(e), len(c)),
         whitening=whitening,
         metric=own.metric[rows],
         seen=seen.max(1),
@@ -129,10 +138,26 @@ def _group_data(task: Task, index: int, shape: Shape, rows: Beats) -> GroupData:
         usable=usable,
         expected=whitened(ground.expected.moment),
         least=np.full(len(rows), task.settings.least_expected),
+        mean_points=points.reshape(*lead, *points.shape[1:]) @ np.swapaxes(unwhitening, 1, 2)[:, None],
+        mean_weights=np.broadcast_to(weights, (len(rows), len(weights))),
+        mean_size=cost.size.reshape(*lead, *cost.size.shape[1:]),
+        mean_cross=cost.cross.reshape(*lead, *cost.cross.shape[1:]),
+        own=cost.own.reshape(*lead, *cost.own.shape[1:]),
         noise=whitened(ground.expected.noise),
         direction=np.broadcast_to(np.eye(len(e)), whitening.shape),
         effort=ground.effort[rows][:, :, c[:, None], c],
     )
+
+
+def _cubature(task: Task, index: int, shape: Shape, beats: Beats) -> tuple[Array, Array]:
+    """Points (b, U, n) and weights (U,) for means over the errors to be expected, and a share of the set's."""
+    e = np.array(task.settings.parts[index].errors)
+    whitening = task.ground.parts[index].initial.whitening[beats]
+    moment = task.ground.expected.moment[beats][:, e[:, None], e]
+    even = whitening @ np.swapaxes(whitening, 1, 2) / (3.0 * shape.states)
+    clouds = [monomials.cubature(covariance, shape.law_degree) for covariance in (moment, even)]
+    weights = [clouds[0][1], task.settings.least_expected * clouds[1][1]]
+    return np.concatenate([points for points, _ in clouds], axis=1), np.concatenate(weights)
 
 
 def _solved(task: Task, shape: Shape, data: GroupData, names: list[tuple[int, Beats]], tell: Tell) -> PartLaws:
@@ -173,7 +198,7 @@ def _solved_together(task: Task, shape: Shape, data: GroupData, names: list[tupl
         )
         seconds += solution.seconds
         if turn + 1 < rounds:
-            data = replace(data, direction=joint_shape.direction(shape, solution, data.direction))
+            data = replace(data, direction=joint_shape.direction(shape, solution, data, scaling))
     feasible = solution.status == sos.Status.OPTIMAL
     coefficients = law_program.coefficients(shape, solution["K"], data, scaling)
     stopped = (solution.status == sos.Status.DEADLINE) & np.isfinite(coefficients).all((1, 2))
@@ -184,7 +209,7 @@ def _solved_together(task: Task, shape: Shape, data: GroupData, names: list[tupl
         coefficients,
         feasible,
         stopped,
-        np.where(feasible, solution.objective * scaling.size, np.nan),
+        np.where(feasible, solution.objective * scaling.size + law_program.constant(shape, data), np.nan),
         seconds,
         messages(task, names, solution, ~feasible & ~stopped),
     )

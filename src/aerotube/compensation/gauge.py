@@ -18,7 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from aerotube.aircraft.base import Aircraft
 from aerotube.compensation.design import Design, design
 from aerotube.compensation.forecast import Forecast
-from aerotube.compensation.groundwork import Groundwork, PartGround, available_increments, effort_weights, taken
+from aerotube.compensation.groundwork import (
+    Groundwork,
+    PartGround,
+    available_increments,
+    effort_weights,
+    own_alone,
+    taken,
+)
 from aerotube.compensation.sets import initial_ellipsoid
 from aerotube.compensation.settings import SynthesisSettings
 from aerotube.compensation.tubes import Tubes, certified_size, measure
@@ -213,7 +220,8 @@ def _local_ground(
         lower, upper = available_increments(aircraft, starts, nominal.controls[beats], coordinates, reach)
         metric = riccati(A[:, e[:, None], e], B[:, e[:, None], c], weights[:, e[:, None], e], effort[:, c[:, None], c])
         initial = initial_ellipsoid(disturbance, coordinates, starts, part)
-        parts.append(PartGround(taken(initial, own), metric[own], lower[own][:, c], upper[own][:, c]))
+        joint = own_alone(metric[own], part, 8)
+        parts.append(PartGround(taken(initial, own), metric[own], joint, lower[own][:, c], upper[own][:, c]))
     moment = np.zeros((count, 8, 8))
     moment[:, np.arange(8), np.arange(8)] = coordinates.box(starts, disturbance.half_widths) ** 2 / 3.0
     return Groundwork(
@@ -222,7 +230,13 @@ def _local_ground(
         linear=Linearisation(A=A[own], B=B[own], offset=table[0, ..., 0][own]),
         input_map=np.ascontiguousarray(np.swapaxes(table[1:, ..., 9:13], 0, 1)[own]),
         effort=effort[own],
-        expected=Forecast(cost=moment[own], moment=moment[own], noise=settings.noise_weight * moment[own]),
+        expected=Forecast(
+            cost=np.zeros((nominal.beats + 1, 8, 8)),  # no beat follows that an error could cost
+            moment=moment[own],
+            noise=settings.noise_weight * moment[own],
+            step=A[own],
+            gain=np.zeros((nominal.beats, 4, 8)),
+        ),
         seen=seen[own],
         parts=tuple(parts),
     )

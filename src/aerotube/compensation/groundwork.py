@@ -74,12 +74,16 @@ class PartGround:
         Of T beats.
     metric : ndarray (T, n, n)
         The metric E1 in which the error at the end of a beat is measured.
+    joint_metric : ndarray (T, N, N)
+        What the whole state of the forecast at the end of a beat costs, as far as the part's programs of mean squares
+        look at it; E1 in the part's own errors.
     lower, upper : ndarray (T, m)
         Increments that the limits leave to the part's controls wherever they must hold.
     """
 
     initial: InitialEllipsoid
     metric: Array
+    joint_metric: Array
     lower: Array
     upper: Array
 
@@ -136,10 +140,12 @@ def _make(aircraft: Aircraft, nominal: Nominal, disturbance: DisturbanceSet, set
         if settings.rate_limits is not None:
             half = _share_of_rate(aircraft, nominal, np.array(settings.rate_limits))
             lower, upper = np.maximum(lower, -half), np.minimum(upper, half)
+        metric, joint = _metrics(nominal, settings, part, linear, expected, effort)
         parts.append(
             PartGround(
                 initial=initial_ellipsoid(disturbance, coordinates, nominal.states[:-1], part),
-                metric=_metric(nominal, settings, part, linear, expected, effort),
+                metric=metric,
+                joint_metric=joint,
                 lower=lower[:, part.controls],
                 upper=upper[:, part.controls],
             )
@@ -234,28 +240,41 @@ def expectations(
         coordinates.box(nominal.states[:-1], disturbance.half_widths),
         effects,
         settings.noise_weight,
+        settings.least_expected,
         settings.parts,
     )
 
 
-def _metric(
+def _metrics(
     nominal: Nominal,
     settings: SynthesisSettings,
     part: Part,
     linear: Linearisation,
     expected: Forecast,
     effort: Array,
-) -> Array:
+) -> tuple[Array, Array]:
     errors, controls = part.errors, part.controls
     if settings.shape == "cost-to-go":
-        return np.asarray(expected.cost[1:, errors][:, :, errors])
+        joint = expected.cost[1:].copy()
+        if settings.coupling != "expected":
+            others = [i for i in range(8) if i not in errors]
+            joint[:, others] = joint[:, :, others] = 0.0
+        return np.ascontiguousarray(joint[:, errors][:, :, errors]), joint
     weights = tracking_weights(nominal.states, ErrorCoordinates(settings.attitude))
-    return riccati(
+    metric = riccati(
         linear.A[:, errors][:, :, errors],
         linear.B[:, errors][:, :, controls],
         weights[1:, errors][:, :, errors],
         effort[:, controls][:, :, controls],
     )
+    return metric, own_alone(metric, part, expected.step.shape[1])
+
+
+def own_alone(metric: Array, part: Part, size: int) -> Array:
+    """A part's metric (T, n, n) as one of the whole state that looks at nothing else: ndarray (T, size, size)."""
+    out = np.zeros((len(metric), size, size))
+    out[:, np.array(part.errors)[:, None], np.array(part.errors)] = metric
+    return out
 
 
 def _share_of_rate(aircraft: Aircraft, nominal: Nominal, rates: Array) -> Array:

@@ -10,6 +10,10 @@ complement of the matrix :math:`[[W, x^+], [x^{+T}, 1]]`). Errors are measured i
 W is the sum of the squares of the semi-axes. The volume, :math:`\log\det W`, is concave; it falls from round to round
 where each minimises its tangent :math:`\mathrm{tr}(W_k^{-1} W)` at the W of the round before.
 
+Noise on the measurement moves the end by :math:`B K v`, of covariance :math:`V_u = B K V K^T B^T` (V of the monomials
+of the noise). What is made small is the trace or the volume of :math:`W + V_u`: the errors at their worst and the
+noise in the mean, as in the worst case.
+
 The map enters by its best fit of degree two (in more than four errors: one), which is enough to find a law by. What
 the law then does is measured on the sampled closed loop.
 """
@@ -23,6 +27,7 @@ from numpy.typing import NDArray
 
 from aerotube import sos
 from aerotube.compensation import monomials
+from aerotube.tube import ellipsoid
 
 if TYPE_CHECKING:
     from aerotube.compensation.law_program import GroupData, Scaling, Shape
@@ -57,6 +62,9 @@ def declare(program: sos.Program, shape: Shape) -> None:
         program.symmetric(f"Q/{j}", count)
         program.lmi(f"shape/{j}", size=count + shape.states)
         program.sos(f"inside/{j}", sos.Sphere(shape.states), degree=max(2 * fit_degree(shape.states), 2))
+    if shape.noisy:
+        program.scalar("heard")
+        program.norm("heard", size=shape.steps * shape.controls * shape.monomials + 1)
 
 
 def data(
@@ -69,7 +77,7 @@ def data(
     objective: Array,
 ) -> dict[str, tuple[Array, ...]]:
     """Data of the constraints for a batch; adds to the objective (b, variables) in place."""
-    from aerotube.compensation.law_program import inner_product, quadratic_forms
+    from aerotube.compensation.law_program import inner_product, law_square, quadratic_forms
 
     n, count, K = shape.states, _features_count(shape.states), compiled.variable("K")
     m, M = K.shape
@@ -99,12 +107,26 @@ def data(
         held = np.zeros((batch, quadratic.shape[2], compiled.size))
         held[..., Q.slice] = -quadratic[:, s]
         constraints[f"inside/{j}"] = (np.ones(quadratic.shape[2]), held)
+    if shape.noisy:
+        t = compiled.variable("heard")
+        objective[:, t.index] += weight
+        forms = np.swapaxes(scaling.O, -1, -2) @ group.direction[:, :, None] @ scaling.O
+        constraints["heard"] = law_square(compiled, t, ellipsoid.root(forms.mean(2)), _noise_moments(shape, group))
     return constraints
 
 
-def direction(shape: Shape, solution: sos.Solution, before: Array) -> Array:
-    """Weights of the next round: the tangent of the volume at the W found, of the size of the first round's."""
+def _noise_moments(shape: Shape, group: GroupData) -> Array:
+    """Second moments of the law's monomials of the noise alone: ndarray (b, g, M, M)."""
+    return monomials.moments(group.turn @ group.noise @ np.swapaxes(group.turn, -1, -2), shape.law_degree)
+
+
+def direction(shape: Shape, solution: sos.Solution, group: GroupData, scaling: Scaling) -> Array:
+    """Weights of the next round: the tangent of the volume at what was found, of the size of the first round's."""
+    before = group.direction
     found = np.stack([solution[f"W/{s}"] for s in range(shape.steps)], axis=1)
+    if shape.noisy:
+        moved = scaling.O @ solution["K"][:, None, None]
+        found = found + (moved @ _noise_moments(shape, group)[:, :, None] @ np.swapaxes(moved, -1, -2)).mean(2)
     least = np.linalg.eigvalsh(np.nan_to_num(found)).min(axis=(1, 2))
     good = np.asarray(np.isfinite(found).all((1, 2, 3)) & (least > 0))
     W = np.where(good[:, None, None, None], found, np.eye(shape.states))

@@ -32,6 +32,21 @@ class LinearLaw:
     coordinates: ErrorCoordinates
     room: Array | None = None
 
+    @property
+    def coefficients(self) -> Array:
+        """Coefficients (T, 4, 8) of its monomials, which are the errors; as of :class:`PolynomialLaw`."""
+        return self.gains
+
+    @property
+    def exponents(self) -> NDArray[np.int64]:
+        """Powers (8, 8) of the errors in each monomial."""
+        return np.eye(8, dtype=np.int64)
+
+    @property
+    def unwhitening(self) -> None:
+        """It is linear everywhere."""
+        return None
+
     def increment(self, beat: int, error: Array) -> Array:
         """Increments at a beat.
 
@@ -66,8 +81,9 @@ class LinearLaw:
 class PolynomialLaw:
     """Increments of the virtual controls, polynomial in the error, without a constant term.
 
-    A polynomial that is good on a set may do anything beyond it. There the terms of higher degree are those of the
-    error brought back to the set's boundary, part by part; the linear terms are those of the error itself.
+    A polynomial that is good on a set may do anything beyond it. There the law is that of the error brought back to
+    the set's boundary, part by part, times how far the error is out: it goes on as straight as a linear law. (Were
+    the linear terms alone to go on, so would gains that terms of the opposite sign temper on the set.)
 
     Attributes
     ----------
@@ -119,14 +135,14 @@ class PolynomialLaw:
         """
         first = np.moveaxis(np.asarray(error, dtype=float), -1, 0)
         table = np.empty((len(self.exponents), *first.shape[1:]))
-        near = table[:8]
-        near[:] = first
-        if z is not None:
-            for part in map(list, self.parts):
-                near[part] /= np.maximum(np.linalg.norm(z[..., part], axis=-1), 1.0)
-        for row, (earlier, last) in enumerate(self._factors, start=8):
-            np.multiply(table[earlier], table[last], out=table[row])
         table[:8] = first
+        beyond = [] if z is None else [np.maximum(np.linalg.norm(z[..., list(p)], axis=-1), 1.0) for p in self.parts]
+        for part, factor in zip(self.parts, beyond, strict=False):
+            table[list(part)] /= factor
+        for row, (earlier, last) in enumerate(self._factors, start=8):
+            table[row] = table[earlier] * table[last]
+        for part, factor in zip(self.parts, beyond, strict=False):
+            table[self.exponents[:, list(part)].any(axis=1)] *= factor
         return table
 
     def increment(self, beat: int, error: Array) -> Array:

@@ -18,12 +18,19 @@ whose columns are orthonormal where no effort is added. What is made small is a 
   included). Noise on the measurement adds :math:`\mathrm{tr}(S V)`, so that with noise it is the worst case over the
   errors of the mean over the noise;
 * the mean square: :math:`\mathrm{tr}(N M) + \|\tilde K M_\varphi^{1/2}\|^2` such that
-  :math:`z^T N z - \hat r^T\hat r - 2\hat r^T O\tilde K\, E_v\varphi(z + v)` is one, with M the second moments of
-  the errors to be expected, v the noise on their measurement and :math:`M_\varphi` the second moments of
-  :math:`\varphi(z + v)`. The quadratic form N majorises the size on the boundary of the set; for a linear map without
-  offset and a linear law it is exact and the objective is the mean square, otherwise the objective stands in for it.
-  On a sphere a cubic cannot be told from a multiple of a line: for laws of higher degree all this is asked for in the
-  whole ball, and the form has a constant;
+  :math:`z^T N z - q - 2 p^T \tilde K\, E_v\varphi(z + v)` is one, with :math:`q + 2 p^T\tilde u + |\tilde u|^2` what
+  the end of the beat is expected to cost (:mod:`aerotube.compensation.expectation`), M the second moments of the errors
+  to be expected, v the noise on their measurement and :math:`M_\varphi` the second moments of :math:`\varphi(z + v)`.
+  The quadratic form N majorises on the boundary of the set; for a linear map without offset it is exact and the
+  objective is the mean square, otherwise the objective stands in for it. A law of higher degree would be judged by how
+  loosely a quadratic form lies above polynomials of degree four and six: for these the expectation itself is taken,
+  by cubature over normal errors of moments M, to which a small share spread over the set is added. It is affine in K
+  but for the last term, so that no majorant is needed, and no law of lower degree, being one of them, has less.
+  Terms of higher degree are charged ten times as if their arguments were spread over the set. For the steepest law
+  within its limits is a Chebyshev polynomial, which turns back towards the edge of the set where few errors are
+  expected, and drives away those that come all the same (on the manoeuvre of Table 2 without noise such cubic laws,
+  charged a tenth of it or less, doubled the upper error of linear ones; charged three to ten times, cubic and
+  quadratic laws fly better than these with noise and without);
 * the trace or the volume of the terminal ellipsoid itself, see :mod:`aerotube.compensation.joint_shape`.
 
 A law that is reused serves g beats: the programs of one beat are put side by side and share K. Their mean squares add
@@ -47,6 +54,9 @@ from aerotube.tube import ellipsoid
 
 Array = NDArray[np.float64]
 
+# What terms of higher degree are charged, as a share of their mean square over the set; see above.
+_CAUTION = 10.0
+
 
 @dataclass(frozen=True)
 class Shape:
@@ -57,7 +67,9 @@ class Shape:
     states, controls : int
         n and m of the part.
     vertices : int
-        k, the number of extreme parameter values.
+        k, the number of extreme parameter values, for each of the carried errors.
+    carried : int
+        Number of errors of the other parts that are carried, one where none is.
     steps : int
         g, the beats that the law serves.
     law_degree : int
@@ -68,17 +80,21 @@ class Shape:
     limits : {"box", "ellipsoid", "none"}
     corners : int
         Of the set of measured errors on which a linear law's limits hold; zero where it is a box.
+    noisy : bool
+        Whether noise counts where the terminal ellipsoid is found together with the law.
     """
 
     states: int
     controls: int
     vertices: int
+    carried: int
     steps: int
     law_degree: int
     degree: int
     weights: tuple[tuple[str, float], ...]
     limits: str
     corners: int = 0
+    noisy: bool = False
 
     @property
     def domain(self) -> sos.Domain:
@@ -98,14 +114,12 @@ def structure(shape: Shape) -> sos.Structure:
     sizes, M = dict(shape.weights), shape.monomials
     program.matrix("K", (shape.controls, M))
     if "mean-square" in sizes:
-        for s in range(shape.steps):
-            program.symmetric(f"N/{s}", shape.states)
-            if shape.law_degree > 1:
-                program.scalar(f"floor/{s}")
         program.scalar("effort")
         program.norm("effort", size=shape.steps * shape.controls * M + 1)
-        for j in range(shape.steps * shape.vertices):
-            program.sos(f"mean/{j}", shape.domain, degree=shape.degree)
+        for s in range(shape.steps if shape.law_degree == 1 else 0):
+            program.symmetric(f"N/{s}", shape.states)
+            for j in range(shape.carried):
+                program.sos(f"mean/{s * shape.carried + j}", shape.domain, degree=shape.degree)
     if "trace" in sizes or "volume" in sizes:
         joint_shape.declare(program, shape)
     if "worst-case" in sizes:
@@ -120,9 +134,10 @@ def structure(shape: Shape) -> sos.Structure:
 
 
 def nodes(shape: Shape) -> Array:
-    """Points (U, n) of the unit sphere or ball at which the error map is sampled."""
-    name = next(c.name for c in structure(shape).constraints if c.kind == "sos")
-    return structure(shape).nodes(name)
+    """Points (U, n) of the unit sphere or ball at which the error map is sampled; none where expectations will do."""
+    sampled = (c.name for c in structure(shape).constraints if c.name.startswith(("mean/", "worst/", "inside/")))
+    name = next(sampled, None)
+    return np.zeros((0, shape.states)) if name is None else structure(shape).nodes(name)
 
 
 @dataclass(frozen=True)
@@ -153,7 +168,18 @@ class GroupData:
     expected : ndarray (b, g, n, n)
         Mean of ``z z'``: which errors are to be expected (mean square only).
     least : ndarray (b,)
-        Share of errors spread evenly over the set, that are expected besides.
+        Share of errors spread evenly over the set, that laws of higher degree are told to expect besides.
+    mean_points : ndarray (b, g, U', n)
+        Errors in the law's coordinates at which the expected cost is given: at the nodes for a linear law, at those
+        of a cubature for others.
+    mean_weights : ndarray (b, U')
+        Of the cubature, zero for a linear law.
+    mean_size : ndarray (b, g, c, U')
+        Expected cost without compensation, for each of the c carried errors.
+    mean_cross : ndarray (b, g, c, U', m)
+        Half its derivative with respect to the virtual controls.
+    own : ndarray (b, g, m, m)
+        Its second derivative, halved; effort included.
     noise : ndarray (b, g, n, n)
         Covariance of the measurement noise, whitened like the error.
     direction : ndarray (b, g, n, n)
@@ -174,6 +200,11 @@ class GroupData:
     usable: NDArray[np.bool_]
     expected: Array
     least: Array
+    mean_points: Array
+    mean_weights: Array
+    mean_size: Array
+    mean_cross: Array
+    own: Array
     noise: Array
     direction: Array
     effort: Array
@@ -196,14 +227,14 @@ class Scaling:
     Attributes
     ----------
     size : ndarray (b,)
-        The unit of ``rho``: the largest size without compensation at a node.
+        The unit of ``rho``: the largest size without compensation at a node (or expected cost at one of a cubature).
     gain : ndarray (b, m, m)
         ``K = gain @ K~``: G^-T times the square root of the unit.
     rhat : ndarray (b, g, k, U, n)
         Scaled ``E1^(1/2) r``.
     O : ndarray (b, g, k, n, m)
-    root : ndarray (b, g, m, m)
-        L, with ``|L K~ phi|^2`` the law's own contribution to the size in each beat; the identity for one beat.
+    root, mean_root : ndarray (b, g, m, m)
+        L, with ``|L K~ phi|^2`` the law's own contribution to the worst case, and to the mean square, in each beat.
     """
 
     size: Array
@@ -211,30 +242,31 @@ class Scaling:
     rhat: Array
     O: Array
     root: Array
+    mean_root: Array
 
 
 def scale(data: GroupData) -> Scaling:
     """Bring the data of a batch to order one."""
     root = ellipsoid.root(data.metric)
     rhat = np.einsum("bgij,bgkuj->bgkui", root, data.map_values, optimize=True)
-    size = np.einsum("bgkui,bgkui->bgku", rhat, rhat).max((1, 2, 3))
-    size = np.maximum(size, np.finfo(float).tiny)
+    size = np.einsum("bgkui,bgkui->bgku", rhat, rhat).max((1, 2, 3), initial=np.finfo(float).tiny)
+    if not rhat.shape[3]:
+        size = data.mean_size.max((1, 2, 3), initial=np.finfo(float).tiny)
     pushed = root[:, :, None] @ data.input_map
     own = _dominating(np.swapaxes(pushed, -1, -2) @ pushed) + data.effort
-    mean = own.mean(1)
+    mean = data.own.mean(1)
     # each control in its own unit first: newtons beside radians would drown in the rounding of the others
     unit = 1.0 / np.sqrt(np.maximum(np.diagonal(mean, axis1=1, axis2=2), np.finfo(float).tiny))
     mean = mean * unit[:, :, None] * unit[:, None, :] + 1e-12 * np.eye(mean.shape[-1])
     gain = unit[:, :, None] * np.swapaxes(np.linalg.inv(np.linalg.cholesky(mean)), 1, 2)
-    each = np.broadcast_to(np.eye(gain.shape[-1]), own.shape)
-    if own.shape[1] > 1:
-        each = ellipsoid.root(np.swapaxes(gain, 1, 2)[:, None] @ own @ gain[:, None])
+    left, right = np.swapaxes(gain, 1, 2)[:, None], gain[:, None]
     return Scaling(
         size=size,
         gain=gain * np.sqrt(size)[:, None, None],
         rhat=rhat / np.sqrt(size)[:, None, None, None, None],
         O=pushed @ gain[:, None, None],
-        root=each,
+        root=ellipsoid.root(left @ own @ right),
+        mean_root=ellipsoid.root(left @ data.own @ right),
     )
 
 
@@ -273,41 +305,69 @@ def _mean_square(
 ) -> dict[str, tuple[Array, ...]]:
     heard = data.turn @ data.noise @ np.swapaxes(data.turn, -1, -2)
     K, t = compiled.variable("K"), compiled.variable("effort")
-    constant, linear = _cross_terms(compiled, scaling, monomials.under_noise(points, heard, shape.law_degree))
+    size = scaling.size[:, None, None, None]
+    table = monomials.under_noise(data.mean_points, heard, shape.law_degree)
+    cross = 2.0 * data.mean_cross @ scaling.gain[:, None, None] / size[..., None]
     constraints: dict[str, tuple[Array, ...]] = {}
-    even = data.least[:, None, None, None] * np.eye(shape.states) / shape.states
-    common = np.ones(data.expected.shape[:2])
     if shape.law_degree > 1:
-        # errors larger than the ball would let the form fall and its constant rise without end: their share is cut
-        common = 0.5 / np.maximum(np.trace(data.expected + even, axis1=2, axis2=3), 0.5)
-    for s in range(shape.steps):
-        N = compiled.variable(f"N/{s}")
-        linear[:, s, ..., N.slice] = quadratic_forms(nodes(shape))
-        objective[:, N.slice] += weight * inner_product(common[:, s, None, None] * (data.expected + even)[:, s])
-        if shape.law_degree > 1:
-            floor = compiled.variable(f"floor/{s}").index
-            linear[:, s, ..., floor] = 1.0
-            objective[:, floor] += weight
-    for j in range(shape.steps * shape.vertices):
-        s, v = divmod(j, shape.vertices)
-        constraints[f"mean/{j}"] = (constant[:, s, v], linear[:, s, v])
+        by_law = np.einsum("bu,bgcui,bguj->bij", data.mean_weights / shape.carried, cross, table, optimize=True)
+        objective[:, K.slice] += weight * by_law.reshape(len(by_law), -1)
+    else:
+        constant = -data.mean_size / size
+        linear = np.zeros((*constant.shape, compiled.size))
+        by_law = -cross[..., None] * table[:, :, None, :, None, :]
+        linear[..., K.slice] = by_law.reshape(*constant.shape, K.size)
+        for s in range(shape.steps):
+            N = compiled.variable(f"N/{s}")
+            linear[:, s, ..., N.slice] = quadratic_forms(nodes(shape))
+            objective[:, N.slice] += weight * inner_product(data.expected[:, s])
+            for j in range(shape.carried):
+                constraints[f"mean/{s * shape.carried + j}"] = (constant[:, s, j], linear[:, s, j])
     objective[:, t.index] += weight
-    # t >= |y|^2 is |(2 y, t - 1)| <= t + 1, with y the entries of L K~ C in every beat, C C' the law's moments
-    met = data.turn @ (data.expected + data.noise) @ np.swapaxes(data.turn, -1, -2)
-    spread = data.turn @ (np.eye(shape.states) / shape.states) @ np.swapaxes(data.turn, -1, -2)
-    # spread evenly, products of errors are expected too: their moments would vanish with those of small errors
-    moments = monomials.moments(met, shape.law_degree)
-    moments = moments + data.least[:, None, None, None] * monomials.moments(spread, shape.law_degree)
-    factor = _cholesky(common[..., None, None] * moments)
-    m, M = K.shape
-    rows = np.zeros((len(objective), shape.steps * m * M + 1, compiled.size))
-    own = 2.0 * np.einsum("bgai,bgjc->bgacij", scaling.root, factor)
-    rows[:, :-1, K.slice] = own.reshape(len(objective), -1, m * M)
+    constraints["effort"] = law_square(compiled, t, scaling.mean_root, _law_moments(shape, data, heard))
+    return constraints
+
+
+def law_square(compiled: sos.Structure, t: sos.Variable, root: Array, moments: Array) -> tuple[Array, ...]:
+    """Data of the norm constraint ``t >= sum over the beats of tr(L K~ M K~' L')``.
+
+    Parameters
+    ----------
+    compiled : sos.Structure
+    t : sos.Variable
+        A scalar.
+    root : ndarray (b, g, m, m)
+        L.
+    moments : ndarray (b, g, M, M)
+        M, positive semidefinite.
+
+    Returns
+    -------
+    tuple of ndarray
+    """
+    # t >= |y|^2 is |(2 y, t - 1)| <= t + 1, with y the entries of L K~ C in every beat, C C' = M
+    K = compiled.variable("K")
+    batch, steps = root.shape[:2]
+    rows = np.zeros((batch, steps * K.size + 1, compiled.size))
+    own = 2.0 * np.einsum("bgai,bgjc->bgacij", root, _cholesky(moments))
+    rows[:, :-1, K.slice] = own.reshape(batch, -1, K.size)
     rows[:, -1, t.index] = 1.0
     shift, bound = np.zeros(rows.shape[1]), np.zeros(compiled.size)
     shift[-1], bound[t.index] = -1.0, 1.0
-    constraints["effort"] = (rows, shift, bound, np.ones(()))
-    return constraints
+    return rows, shift, bound, np.ones(())
+
+
+def _law_moments(shape: Shape, data: GroupData, heard: Array) -> Array:
+    """Second moments of the law's monomials of measured errors: ndarray (b, g, M, M)."""
+    back = np.swapaxes(data.turn, -1, -2)
+    moments = monomials.moments(data.turn @ data.expected @ back + heard, shape.law_degree)
+    if shape.law_degree == 1:
+        return moments
+    spread = data.turn @ (np.eye(shape.states) / (3.0 * shape.states)) @ back
+    even = monomials.moments(spread + heard, shape.law_degree)
+    curved = even.copy()
+    curved[..., : shape.states, :] = curved[..., : shape.states] = 0.0
+    return np.asarray(moments + data.least[:, None, None, None] * even + _CAUTION * curved)
 
 
 def _worst_case(
@@ -345,6 +405,15 @@ def _cross_terms(compiled: sos.Structure, scaling: Scaling, table: Array) -> tup
     cross = -2.0 * scaling.rhat @ scaling.O
     linear[..., K.slice] = (cross[..., None] * table[:, :, None, :, None, :]).reshape(*constant.shape, K.size)
     return constant, linear
+
+
+def constant(shape: Shape, data: GroupData) -> Array:
+    """What the objective leaves out, in its own units: ndarray (b,).
+
+    A law of higher degree's expectation has a part that no law changes; a linear law's is in its majorant.
+    """
+    weight = dict(shape.weights).get("mean-square", 0.0) / shape.carried
+    return weight * np.asarray(np.einsum("bu,bgcu->b", data.mean_weights, data.mean_size))
 
 
 def coefficients(shape: Shape, values: Array, data: GroupData, scaling: Scaling) -> Array:

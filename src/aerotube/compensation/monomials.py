@@ -82,16 +82,53 @@ def under_noise(points: Array, noise: Array, degree: int) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _cube(variables: int, count: int) -> tuple[Array, Array]:
-    """Points and weights of the product Gauss rule for the uniform distribution of unit covariance in a cube."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    grid = np.stack(np.meshgrid(*[np.sqrt(3.0) * nodes] * variables, indexing="ij"), -1).reshape(-1, variables)
-    weight = np.stack(np.meshgrid(*[0.5 * weights] * variables, indexing="ij"), -1).reshape(-1, variables).prod(-1)
-    return grid, weight
+def _normal(variables: int, degree: int) -> tuple[Array, Array]:
+    """Points and weights of a rule for the standard normal distribution.
+
+    Exact to degree ``2 degree + 1``: a product of Gauss rules; in more than four variables and for degree two a rule of
+    degree five with the centre, points on the axes, and points on the diagonals, which has few points for the price of
+    a negative weight.
+    """
+    if variables <= 4 or degree > 2:
+        nodes, weights = np.polynomial.hermite_e.hermegauss(degree + 1)
+        weights = weights / weights.sum()
+        grid = np.stack(np.meshgrid(*[nodes] * variables, indexing="ij"), -1).reshape(-1, variables)
+        weight = np.stack(np.meshgrid(*[weights] * variables, indexing="ij"), -1).reshape(-1, variables).prod(-1)
+        return grid, weight
+    # a point's squared coordinates are 2 on the diagonals, whose weights sum to 1/4 so that E x^2 y^2 = 4/4;
+    # the axes' points at r, of weight w, then have 2 w r^2 = E x^2 - 2/4 and 2 w r^4 = E x^4 - 4/4 = 2
+    diagonals = np.sqrt(2.0) * np.array(list(itertools.product((-1.0, 1.0), repeat=variables)))
+    axes = 2.0 * np.concatenate([np.eye(variables), -np.eye(variables)])
+    weight = np.concatenate([np.full(len(diagonals), 0.25 / len(diagonals)), np.full(len(axes), 1.0 / 16.0)])
+    points = np.concatenate([diagonals, axes, np.zeros((1, variables))])
+    return points, np.append(weight, 1.0 - weight.sum())
+
+
+def cubature(covariance: Array, degree: int) -> tuple[Array, Array]:
+    """Points and weights of means over normal errors of given covariance.
+
+    Exact for polynomials to degree ``2 degree + 1``.
+
+    Parameters
+    ----------
+    covariance : ndarray (..., n, n)
+    degree : int
+
+    Returns
+    -------
+    points : ndarray (..., U, n)
+    weights : ndarray (U,)
+    """
+    points, weights = _normal(covariance.shape[-1], degree)
+    scale = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    scale = np.maximum(scale, np.finfo(float).tiny)
+    relative = covariance / scale[..., :, None] / scale[..., None, :]
+    spread = np.linalg.cholesky(relative + 1e-14 * np.eye(covariance.shape[-1])) * scale[..., :, None]
+    return np.asarray(points @ np.swapaxes(spread, -1, -2)), weights
 
 
 def moments(covariance: Array, degree: int) -> Array:
-    """Second moments of the law's monomials, for errors spread evenly over a parallelepiped of given covariance.
+    """Second moments of the law's monomials, for normal errors of given covariance.
 
     For degree 1 they are the covariance itself, whatever the distribution.
 
@@ -106,19 +143,9 @@ def moments(covariance: Array, degree: int) -> Array:
     """
     if degree == 1:
         return covariance
-    n = covariance.shape[-1]
-    points, weights = _cube(n, degree + 1)
-    spread = np.linalg.cholesky(
-        covariance + 1e-14 * np.trace(covariance, axis1=-2, axis2=-1)[..., None, None] * np.eye(n)
-    )
-    table = values(points @ np.swapaxes(spread, -1, -2), exponents(n, degree))
+    points, weights = cubature(covariance, degree)
+    table = values(points, exponents(covariance.shape[-1], degree))
     return np.asarray(np.swapaxes(table * weights[:, None], -1, -2) @ table)
-
-
-def _root(covariance: Array) -> Array:
-    n = covariance.shape[-1]
-    least = 1e-14 * np.trace(covariance, axis1=-2, axis2=-1)[..., None, None] * np.eye(n)
-    return np.linalg.cholesky(covariance + least)
 
 
 @lru_cache(maxsize=32)

@@ -6,7 +6,7 @@ whatever other seeds, runs, horizon, options or workers are asked for, and every
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -132,6 +132,7 @@ def draw(
     seeds: Iterable[int],
     runs_per_seed: int,
     *,
+    initial: Callable[[int, np.random.Generator], Array] | None = None,
     mass_error: float = 0.0,
     other_parameters: Sequence[tuple[float, float]] = (),
     inverse: Sequence[int] = (0,),
@@ -147,6 +148,9 @@ def draw(
         Distinct and not negative.
     runs_per_seed : int
         At least one.
+    initial : callable, optional
+        Draws a number of initial errors (count, 8) from another set than the box, in which the measurement noise
+        remains. All of a seed are drawn at once, so that these depend on the number of runs.
     mass_error : float
         Half-width of the relative mass error, uniform in mass, from 0 to less than 1; the aircraft is given
         the inverse mass ratio ``1 / (1 + error)``.
@@ -183,7 +187,11 @@ def draw(
 
     errors, parameters = [], []
     for seed in names:
-        errors.append(box * _generator(seed, _INITIAL_ERROR).uniform(-1.0, 1.0, (int(runs_per_seed), 8)))
+        generator = _generator(seed, _INITIAL_ERROR)
+        if initial is None:
+            errors.append(box * generator.uniform(-1.0, 1.0, (int(runs_per_seed), 8)))
+        else:
+            errors.append(initial(int(runs_per_seed), generator))
         columns = [
             _generator(seed, _PARAMETER, place).uniform(lower, upper, int(runs_per_seed))
             for place, (lower, upper) in enumerate(ranges)
@@ -191,10 +199,10 @@ def draw(
         parameters.append(np.stack(columns, axis=-1))
     sigma = np.concatenate(parameters)
     sigma[:, list(inverse)] = 1.0 / sigma[:, list(inverse)]
-    initial = np.concatenate(errors)
-    for array in (box, initial, sigma):
+    start = np.concatenate(errors)
+    for array in (box, start, sigma):
         array.setflags(write=False)
-    return Draws(names, int(runs_per_seed), box, initial, sigma)
+    return Draws(names, int(runs_per_seed), box, start, sigma)
 
 
 def _checked_seeds(seeds: Iterable[Any]) -> tuple[int, ...]:

@@ -141,7 +141,7 @@ def tubes_figure(dataset: xr.Dataset, law: str) -> Figure | None:
         f"({law.replace('_', '-')} law)\ncertificate: {certificate_words(counts)}"
     )
     figure = new_figure(16, 10, title)
-    grid = figure.add_gridspec(4, 2, left=0.62, right=0.99, bottom=0.09, top=0.9, hspace=0.5, wspace=0.2)
+    grid = figure.add_gridspec(4, 2, left=0.63, right=0.99, bottom=0.09, top=0.9, hspace=0.5, wspace=0.34)
     for number, pair in enumerate(PAIRS):
         tube = projection(dataset, law, pair)
         corner = (0.283 * (number % 2), 0.5 - 0.45 * (number // 2), 0.265, 0.39)
@@ -190,3 +190,4 @@ def _draw_extent(axes: Axes, tube: Projection, state: int, name: str) -> None:
     axes.set_ylim(bottom=0.0)
     axes.set_title(f"half-width in {DISPLAY[name].name}", fontsize=9, loc="left")
     tidy(axes, DISPLAY[name].label)
+    axes.yaxis.set_label_coords(-0.17, 0.5)  # clear of the widest numbers

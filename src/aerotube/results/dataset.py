@@ -21,13 +21,14 @@ from aerotube.results.record import (
     Law,
     Record,
 )
+from aerotube.results.terms import put_terms
 from aerotube.results.writing import whole_file
 
 if TYPE_CHECKING:
     import xarray as xr
 
 #: Raised by one in its last place when a variable is added, in its first when one is renamed or removed.
-SCHEMA_VERSION = "2.0"
+SCHEMA_VERSION = "2.1"
 
 #: Where the unit changes along the last axis: one for each label of the axis, in its order.
 _UNITS_BY_STATE, _UNITS_BY_CONTROL = ", ".join(STATE_UNITS), ", ".join(CONTROL_UNITS)
@@ -146,6 +147,7 @@ def _put_laws(dataset: xr.Dataset, laws: dict[str, Law]) -> None:
         stacked("solve_seconds"),
         {"units": "s", "long_name": "time to solve one part"},
     )
+    put_terms(dataset, laws)
     _put_certificates(dataset, laws)
     dataset["settings"] = ("law", [json.dumps(dict(law.settings)) for law in laws.values()])
 

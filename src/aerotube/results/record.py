@@ -54,6 +54,15 @@ class Law:
         Least ``rho`` in that metric, with the law and without.
     gains : ndarray (beat, 4, 8)
         Linear part of the law, control increment (SI) per error (SI).
+    coefficients : ndarray (beat, 4, M)
+        Of all its monomials.
+    exponents : ndarray (M, 8) of int
+    coordinates : str
+        Kind of the attitude errors, as of `aerotube.dynamics.ErrorCoordinates`.
+    room : ndarray (beat, 4, 2) or None
+        Least and largest increment, where the law cuts itself off; None: it never does.
+    reach : ndarray (beat, 8, 8) or None
+        Where it is its polynomial, see `aerotube.compensation.PolynomialLaw`; None: everywhere.
     feasible : ndarray of bool (beat, part)
     solve_seconds : ndarray (beat, part)
     certificate, certificate_nominal : ndarray of str (beat, part)
@@ -94,6 +103,11 @@ class Law:
     size: Array
     size_nominal: Array
     gains: Array
+    coefficients: Array
+    exponents: NDArray[np.int64]
+    coordinates: str
+    room: Array | None
+    reach: Array | None
     feasible: NDArray[np.bool_]
     solve_seconds: Array
     certificate: NDArray[np.str_]

@@ -31,7 +31,7 @@ from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.flight.lqr import time_varying_lqr
 from aerotube.nominal import Nominal
 from aerotube.runtime.messages import Rung
-from aerotube.tube import DisturbanceBox, tracking_weights
+from aerotube.tube import DisturbanceSet, tracking_weights
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class Task:
     ----------
     aircraft : Aircraft
         The model that laws are computed on.
-    disturbance : DisturbanceBox
+    disturbance : DisturbanceSet
     settings : SynthesisSettings
     window : int
         Beats of a window.
@@ -60,7 +60,7 @@ class Task:
     """
 
     aircraft: Aircraft
-    disturbance: DisturbanceBox
+    disturbance: DisturbanceSet
     settings: SynthesisSettings
     window: int = 16
     around: int = 60

@@ -112,15 +112,8 @@ def run(
     try:
         for name in wanted:
             weight = STUDIES[name].share
-
-            def tell(
-                words: str, share: float, name: str = name, before: float = before, weight: float = weight
-            ) -> None:
-                if progress is not None:
-                    progress(f"{name}: {words}" if words else name, (before + share * weight) / total)
-
-            bench.tell = tell
-            tell("", 0.0)
+            bench.tell = _telling(progress, name, before / total, weight / total)
+            bench.tell("", 0.0)
             _do(name, bench, target, done)
             before += weight
     except KeyboardInterrupt:

@@ -268,13 +268,19 @@ def _other_size(moved: dict[str, Array]) -> Table:
     return Table(f"The same with the paper's objective ({WORST_CASE_PAIRS} pairs)", head, tuple(rows))
 
 
+_COLOURS = {"#0072B2": "named by the paper as influential", "#9ecae1": "others"}
+
+
 def _figure(changes: Array, pairs: int) -> Figure:
+    from matplotlib.patches import Patch
+
     figure = new_figure(15, 7.5, f"Change of the law's coefficients with each nominal input ({pairs} pairs)")
-    figure.subplots_adjust(left=0.06, right=0.99, bottom=0.07, top=0.9, hspace=0.4, wspace=0.14)
+    figure.subplots_adjust(left=0.06, right=0.99, bottom=0.11, top=0.9, hspace=0.4, wspace=0.14)
     for axes, letter, (c, control) in zip(figure.subplots(2, 2).ravel(), "abcd", enumerate(CONTROLS), strict=True):
         values = changes[..., c][np.isfinite(changes[..., c]).all(axis=1)]
         mean, half = values.mean(axis=0), 1.96 * values.std(axis=0, ddof=1) / np.sqrt(len(values))
-        colours = ["#0072B2" if name in PAPER[control] else "#9ecae1" for name in INPUTS]
+        named, other = _COLOURS
+        colours = [named if name in PAPER[control] else other for name in INPUTS]
         axes.bar(np.arange(12), mean, 0.7, yerr=np.minimum(half, 0.95 * mean), color=colours, capsize=3)
         axes.set_yscale("log")
         axes.set_xticks(np.arange(12), [DISPLAY[name].symbol for name in INPUTS])
@@ -284,4 +290,6 @@ def _figure(changes: Array, pairs: int) -> Figure:
         axes.grid(True, axis="y", color="#DDDDDD", linewidth=0.6)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
+    handles = [Patch(color=colour, label=label) for colour, label in _COLOURS.items()]
+    figure.legend(handles=handles, loc="lower center", ncols=2, fontsize=9, frameon=False)
     return figure

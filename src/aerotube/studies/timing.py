@@ -63,7 +63,9 @@ def solve_times(bench: Bench, settings: SynthesisSettings, words: str, solves: i
     return np.array(solver), np.array(whole)
 
 
-def distributions_figure(title: str, samples: Mapping[str, Array], columns: int, groups: Sequence[str]) -> Figure:
+def distributions_figure(
+    title: str, samples: Mapping[str, Array], columns: int, groups: Sequence[str], counted: str = "solves"
+) -> Figure:
     """Draw distributions of times, one panel a group, on logarithmic axes where they span decades.
 
     Parameters
@@ -73,6 +75,8 @@ def distributions_figure(title: str, samples: Mapping[str, Array], columns: int,
         Times in ms; a name starts with its group and a colon.
     columns : int
     groups : sequence of str
+    counted : str
+        What each time is of.
 
     Returns
     -------
@@ -80,7 +84,9 @@ def distributions_figure(title: str, samples: Mapping[str, Array], columns: int,
     """
     rows = -(-len(groups) // columns)
     figure = new_figure(5.2 * columns, 3.6 * rows + 0.6, title)
-    figure.subplots_adjust(left=0.09, right=0.98, bottom=0.16 / rows, top=1 - 0.2 / rows, wspace=0.22, hspace=0.45)
+    figure.subplots_adjust(
+        left=0.2 / (columns + 1), right=0.985, bottom=0.16 / rows, top=1 - 0.2 / rows, wspace=0.22, hspace=0.45
+    )
     panels = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for axes, group in zip(panels, groups, strict=False):
         mine = {name.split(": ", 1)[1]: values for name, values in samples.items() if name.startswith(f"{group}: ")}
@@ -98,7 +104,7 @@ def distributions_figure(title: str, samples: Mapping[str, Array], columns: int,
             axes.set_xscale("log")
         axes.set_title(group, fontsize=10, loc="left")
         axes.set_xlabel("time (ms)", fontsize=9)
-        axes.set_ylabel("solves", fontsize=9)
+        axes.set_ylabel(counted, fontsize=9)
         axes.tick_params(labelsize=8)
         axes.grid(True, color="#DDDDDD", linewidth=0.6)
         axes.set_axisbelow(True)

@@ -30,6 +30,9 @@ SHAPES: tuple[Shape, ...] = ("cost-to-go", "riccati")
 LIMITS: tuple[Limits, ...] = ("box", "ellipsoid")
 FLOWN = (CALM, NOISE)
 
+# Where the number of a point stands, in points of the page, so that those of curves that meet stay apart.
+_ASIDE = ((5, -9), (5, 4), (-11, -9), (-11, 5))
+
 
 def study(bench: Bench) -> Outcome:
     """Design, measure and fly a law for every choice."""
@@ -148,7 +151,7 @@ def _effort(bench: Bench, flown: Flights) -> float:
 
 
 def _figure(dataset: xr.Dataset) -> Figure:
-    figure = new_figure(16, 5.2, "What the noise weight ν, the shape and the limits buy")
+    figure = new_figure(16, 5.2, "What the noise weight ν (the numbers at points), the shape and the limits buy")
     figure.subplots_adjust(left=0.05, right=0.99, bottom=0.21, top=0.87, wspace=0.2)
     error = dataset["mean_upper_error"].mean("seed")
     panels = figure.subplots(1, 3)
@@ -164,7 +167,14 @@ def _figure(dataset: xr.Dataset) -> Figure:
             axes.plot(across, up, **style)
             for weight, x, y in zip(NOISE_WEIGHTS, across, up, strict=True):
                 if weight in (NOISE_WEIGHTS[0], NOISE_WEIGHTS[-1], 1.0):
-                    axes.annotate(f"{weight:g}", (x, y), fontsize=7, xytext=(3, 3), textcoords="offset points")
+                    axes.annotate(
+                        f"{weight:g}",
+                        (x, y),
+                        fontsize=8,
+                        color=COLOURS[place],
+                        xytext=_ASIDE[place],
+                        textcoords="offset points",
+                    )
     flown = (f"({letter}) {CONDITION_WORDS[name]}" for letter, name in zip("ab", FLOWN, strict=True))
     titles = (*flown, "(c) sensor noise, over the tube of one beat")
     for axes, title in zip(panels, titles, strict=True):

@@ -37,7 +37,7 @@ class DisturbanceEllipsoid(DisturbanceSet):
         shape = np.array(self.shape, dtype=float)
         if shape.shape != (8, 8) or not np.isfinite(shape).all():
             raise InputError(f"disturbance: the ellipsoid's shape is {shape.shape}; give a finite matrix of 8 by 8.")
-        unit = 1.0 / np.sqrt(np.maximum(np.diag(shape), np.finfo(float).tiny))
+        unit = 1.0 / np.sqrt(np.where(np.diag(shape) > 0.0, np.diag(shape), 1.0))
         scaled = shape * unit[:, None] * unit
         if np.abs(scaled - scaled.T).max() > 1e-9 or np.linalg.eigvalsh(scaled)[0] <= 1e-14:
             raise InputError(
