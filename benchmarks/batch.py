@@ -22,7 +22,7 @@ from benchmarks.solvers import own
 Say = Callable[[str], None]
 ORDER = 48
 CHAIN = 10
-"""Beats in a row that start from one another, as where laws are designed."""
+"""Beats in a row that start from one another, as where laws are designed in flight."""
 
 
 @njit(cache=True, nogil=True)

@@ -207,7 +207,7 @@ def _solved_together(task: Task, shape: Shape, data: GroupData, names: list[tupl
             backend=task.settings.backend,
             deadline=task.deadline,
             workers=task.workers,
-            chain=_chain(names),
+            chain=_chain(names) if task.chained else 1,
         )
         seconds += solution.seconds
         if turn + 1 < rounds:

@@ -33,6 +33,7 @@ class Task:
     ground: Groundwork
     workers: int
     deadline: float | None
+    chained: bool = False
 
 
 @dataclass(frozen=True)
