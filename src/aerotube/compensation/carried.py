@@ -3,8 +3,8 @@ r"""A decoupled synthesis that carries the other half's errors as a parameter.
 Where the halves are designed apart, each takes the other's errors as zero. Carried, the other half's errors are an
 uncertain parameter that ranges over the whole of its ellipsoid; of its boundary the two opposite points are taken
 whose linear effect on the part is worst in its metric: the first right singular vector of
-:math:`E_1^{1/2} A_{12} T_2`, either way. A program then has its constraints at both, for every extreme of the
-parameters: twice as many as without.
+:math:`E_1^{1/2} A_{12} T_2`, either way. A program then has its constraints at both, twice as many as without: a mean
+square is above both of them, a worst case above both at every extreme of the parameters.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube import sos
-from aerotube.compensation import carried, expectation, joint_shape, law_program, limits, monomials
+from aerotube.compensation import carried, expectation, joint_shape, law_program, limits, mean_square, monomials
 from aerotube.compensation.groundwork import taken
 from aerotube.compensation.law_program import GroupData, Shape
 from aerotube.compensation.settings import Part
@@ -222,7 +222,7 @@ def _solved_together(task: Task, shape: Shape, data: GroupData, names: list[tupl
         coefficients,
         feasible,
         stopped,
-        np.where(feasible, solution.objective * scaling.size + law_program.constant(shape, data), np.nan),
+        np.where(feasible, solution.objective * scaling.size + mean_square.constant(shape, data), np.nan),
         seconds,
         messages(task, names, solution, ~feasible & ~stopped),
     )

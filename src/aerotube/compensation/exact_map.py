@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube import sos
-from aerotube.compensation.law_program import quadratic_forms
+from aerotube.compensation.forms import quadratic_forms
 
 Array = NDArray[np.float64]
 

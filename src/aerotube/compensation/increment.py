@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from aerotube import sos
 from aerotube.aircraft.base import Aircraft
 from aerotube.compensation import monomials
-from aerotube.compensation.law_program import quadratic_forms
+from aerotube.compensation.forms import quadratic_forms
 from aerotube.compensation.settings import Part
 from aerotube.dynamics import ErrorCoordinates, taylor_map
 from aerotube.nominal import Nominal

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from aerotube import sos
 from aerotube.compensation import monomials
+from aerotube.compensation.forms import inner_product, law_square, quadratic_forms
 from aerotube.tube import ellipsoid
 
 if TYPE_CHECKING:
@@ -77,8 +78,6 @@ def data(
     objective: Array,
 ) -> dict[str, tuple[Array, ...]]:
     """Data of the constraints for a batch; adds to the objective (b, variables) in place."""
-    from aerotube.compensation.law_program import inner_product, law_square, quadratic_forms
-
     n, count, K = shape.states, _features_count(shape.states), compiled.variable("K")
     m, M = K.shape
     batch = len(objective)

@@ -17,20 +17,7 @@ whose columns are orthonormal where no effort is added. What is made small is a 
   :math:`\begin{bmatrix} S & \tilde K^T \\ \tilde K & I \end{bmatrix} \succeq 0` (exact at an optimum; effort
   included). Noise on the measurement adds :math:`\mathrm{tr}(S V)`, so that with noise it is the worst case over the
   errors of the mean over the noise;
-* the mean square: :math:`\mathrm{tr}(N M) + \|\tilde K M_\varphi^{1/2}\|^2` such that
-  :math:`z^T N z - q - 2 p^T \tilde K\, E_v\varphi(z + v)` is one, with :math:`q + 2 p^T\tilde u + |\tilde u|^2` what
-  the end of the beat is expected to cost (:mod:`aerotube.compensation.expectation`), M the second moments of the errors
-  to be expected, v the noise on their measurement and :math:`M_\varphi` the second moments of :math:`\varphi(z + v)`.
-  The quadratic form N majorises on the boundary of the set; for a linear map without offset it is exact and the
-  objective is the mean square, otherwise the objective stands in for it. A law of higher degree would be judged by how
-  loosely a quadratic form lies above polynomials of degree four and six: for these the expectation itself is taken,
-  by cubature over normal errors of moments M, to which a small share spread over the set is added. It is affine in K
-  but for the last term, so that no majorant is needed, and no law of lower degree, being one of them, has less.
-  Terms of higher degree are charged ten times as if their arguments were spread over the set. For the steepest law
-  within its limits is a Chebyshev polynomial, which turns back towards the edge of the set where few errors are
-  expected, and drives away those that come all the same (on the manoeuvre of Table 2 without noise such cubic laws,
-  charged a tenth of it or less, doubled the upper error of linear ones; charged three to ten times, cubic and
-  quadratic laws fly better than these with noise and without);
+* the mean square of the errors to be expected, see :mod:`aerotube.compensation.mean_square`;
 * the trace or the volume of the terminal ellipsoid itself, see :mod:`aerotube.compensation.joint_shape`.
 
 A law that is reused serves g beats: the programs of one beat are put side by side and share K. Their mean squares add
@@ -49,13 +36,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube import sos
-from aerotube.compensation import joint_shape, limits, monomials
+from aerotube.compensation import joint_shape, limits, mean_square, monomials
+from aerotube.compensation.forms import inner_product, quadratic_forms
 from aerotube.tube import ellipsoid
 
 Array = NDArray[np.float64]
-
-# What terms of higher degree are charged, as a share of their mean square over the set; see above.
-_CAUTION = 10.0
 
 
 @dataclass(frozen=True)
@@ -114,12 +99,7 @@ def structure(shape: Shape) -> sos.Structure:
     sizes, M = dict(shape.weights), shape.monomials
     program.matrix("K", (shape.controls, M))
     if "mean-square" in sizes:
-        program.scalar("effort")
-        program.norm("effort", size=shape.steps * shape.controls * M + 1)
-        for s in range(shape.steps if shape.law_degree == 1 else 0):
-            program.symmetric(f"N/{s}", shape.states)
-            for j in range(shape.carried):
-                program.sos(f"mean/{s * shape.carried + j}", shape.domain, degree=shape.degree)
+        mean_square.declare(program, shape)
     if "trace" in sizes or "volume" in sizes:
         joint_shape.declare(program, shape)
     if "worst-case" in sizes:
@@ -289,85 +269,9 @@ def program_data(shape: Shape, data: GroupData, scaling: Scaling) -> sos.Data:
     constraints: dict[str, tuple[Array, ...]] = {}
     points = np.einsum("bgij,uj->bgui", data.turn, nodes(shape))
     for name, weight in shape.weights:
-        make = {"mean-square": _mean_square, "worst-case": _worst_case}.get(name, joint_shape.data)
+        make = {"mean-square": mean_square.data, "worst-case": _worst_case}.get(name, joint_shape.data)
         constraints |= make(compiled, shape, data, scaling, points, weight, objective)
     return compiled.data(objective=objective, constraints=constraints | limits.data(compiled, shape, data, scaling))
-
-
-def _mean_square(
-    compiled: sos.Structure,
-    shape: Shape,
-    data: GroupData,
-    scaling: Scaling,
-    points: Array,
-    weight: float,
-    objective: Array,
-) -> dict[str, tuple[Array, ...]]:
-    heard = data.turn @ data.noise @ np.swapaxes(data.turn, -1, -2)
-    K, t = compiled.variable("K"), compiled.variable("effort")
-    size = scaling.size[:, None, None, None]
-    table = monomials.under_noise(data.mean_points, heard, shape.law_degree)
-    cross = 2.0 * data.mean_cross @ scaling.gain[:, None, None] / size[..., None]
-    constraints: dict[str, tuple[Array, ...]] = {}
-    if shape.law_degree > 1:
-        by_law = np.einsum("bu,bgcui,bguj->bij", data.mean_weights / shape.carried, cross, table, optimize=True)
-        objective[:, K.slice] += weight * by_law.reshape(len(by_law), -1)
-    else:
-        constant = -data.mean_size / size
-        linear = np.zeros((*constant.shape, compiled.size))
-        by_law = -cross[..., None] * table[:, :, None, :, None, :]
-        linear[..., K.slice] = by_law.reshape(*constant.shape, K.size)
-        for s in range(shape.steps):
-            N = compiled.variable(f"N/{s}")
-            linear[:, s, ..., N.slice] = quadratic_forms(nodes(shape))
-            objective[:, N.slice] += weight * inner_product(data.expected[:, s])
-            for j in range(shape.carried):
-                constraints[f"mean/{s * shape.carried + j}"] = (constant[:, s, j], linear[:, s, j])
-    objective[:, t.index] += weight
-    constraints["effort"] = law_square(compiled, t, scaling.mean_root, _law_moments(shape, data, heard))
-    return constraints
-
-
-def law_square(compiled: sos.Structure, t: sos.Variable, root: Array, moments: Array) -> tuple[Array, ...]:
-    """Data of the norm constraint ``t >= sum over the beats of tr(L K~ M K~' L')``.
-
-    Parameters
-    ----------
-    compiled : sos.Structure
-    t : sos.Variable
-        A scalar.
-    root : ndarray (b, g, m, m)
-        L.
-    moments : ndarray (b, g, M, M)
-        M, positive semidefinite.
-
-    Returns
-    -------
-    tuple of ndarray
-    """
-    # t >= |y|^2 is |(2 y, t - 1)| <= t + 1, with y the entries of L K~ C in every beat, C C' = M
-    K = compiled.variable("K")
-    batch, steps = root.shape[:2]
-    rows = np.zeros((batch, steps * K.size + 1, compiled.size))
-    own = 2.0 * np.einsum("bgai,bgjc->bgacij", root, _cholesky(moments))
-    rows[:, :-1, K.slice] = own.reshape(batch, -1, K.size)
-    rows[:, -1, t.index] = 1.0
-    shift, bound = np.zeros(rows.shape[1]), np.zeros(compiled.size)
-    shift[-1], bound[t.index] = -1.0, 1.0
-    return rows, shift, bound, np.ones(())
-
-
-def _law_moments(shape: Shape, data: GroupData, heard: Array) -> Array:
-    """Second moments of the law's monomials of measured errors: ndarray (b, g, M, M)."""
-    back = np.swapaxes(data.turn, -1, -2)
-    moments = monomials.moments(data.turn @ data.expected @ back + heard, shape.law_degree)
-    if shape.law_degree == 1:
-        return moments
-    spread = data.turn @ (np.eye(shape.states) / (3.0 * shape.states)) @ back
-    even = monomials.moments(spread + heard, shape.law_degree)
-    curved = even.copy()
-    curved[..., : shape.states, :] = curved[..., : shape.states] = 0.0
-    return np.asarray(moments + data.least[:, None, None, None] * even + _CAUTION * curved)
 
 
 def _worst_case(
@@ -407,15 +311,6 @@ def _cross_terms(compiled: sos.Structure, scaling: Scaling, table: Array) -> tup
     return constant, linear
 
 
-def constant(shape: Shape, data: GroupData) -> Array:
-    """What the objective leaves out, in its own units: ndarray (b,).
-
-    A law of higher degree's expectation has a part that no law changes; a linear law's is in its majorant.
-    """
-    weight = dict(shape.weights).get("mean-square", 0.0) / shape.carried
-    return weight * np.asarray(np.einsum("bu,bgcu->b", data.mean_weights, data.mean_size))
-
-
 def coefficients(shape: Shape, values: Array, data: GroupData, scaling: Scaling) -> Array:
     """Coefficients of the laws: monomials of SI errors to increments of the virtual controls.
 
@@ -437,24 +332,6 @@ def _dominating(forms: Array) -> Array:
     values, vectors = np.linalg.eigh(forms - mean[..., None, :, :])
     beyond = (vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return np.asarray(mean + beyond.sum(-3))
-
-
-def quadratic_forms(points: Array) -> Array:
-    """Values of ``z' X z`` at points (..., n), by the packed lower triangle of X: ndarray (..., n (n + 1) / 2)."""
-    rows, columns = np.tril_indices(points.shape[-1])
-    return np.asarray(points[..., rows] * points[..., columns] * np.where(rows == columns, 1.0, 2.0))
-
-
-def inner_product(matrix: Array) -> Array:
-    """Coefficients of ``tr(X matrix)`` in the packed lower triangle of X: ndarray (b, n (n + 1) / 2)."""
-    rows, columns = np.tril_indices(matrix.shape[-1])
-    return np.asarray(matrix[..., rows, columns] * np.where(rows == columns, 1.0, 2.0))
-
-
-def _cholesky(matrix: Array) -> Array:
-    """Cholesky factors of positive semidefinite matrices (..., n, n), a rounding error of their size added."""
-    size = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] * np.finfo(float).eps
-    return np.linalg.cholesky(matrix + size * np.eye(matrix.shape[-1]))
 
 
 def _effort(variables: int, S: sos.Variable, K: sos.Variable, root: Array) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from aerotube import sos
 from aerotube.compensation import exact_map
-from aerotube.compensation.law_program import inner_product
+from aerotube.compensation.forms import inner_product
 
 Array = NDArray[np.float64]
 TerminalSize = Literal["volume", "trace", "rho"]
