@@ -1,6 +1,6 @@
 """The programs that are timed, made from the beats of the built-in manoeuvre (Table 2).
 
-``*-map`` programs hold the exact error map sampled at nodes, as the main job solves them. ``*-paper`` programs are the
+``*-map`` programs hold the exact error map sampled at nodes, at both extremes of the mass. ``*-paper`` programs are the
 paper's Eq. 14 with its limits the right way round: the increment form (Eq. 4) with the error map's third-order Taylor
 polynomial, the terminal shape free above its Riccati start, the mass a variable with a multiplier, and each side of
 each control's limit a constraint on the initial ellipsoid with a multiplier of degree two.
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 from unittest import mock
 
 import numpy as np
@@ -64,11 +64,13 @@ class _Recorded(Exception):
 
 
 def map_data(part: Part, degree: int) -> tuple[sos.Structure, sos.Data]:
-    """The exact-map program of a part for all beats, as the main job hands it to the solver (noise-free setting)."""
+    """The exact-map program of a part for all beats, as a synthesis hands it to the solver (noise-free setting).
+
+    With a sum of squares for each extreme of the mass; the main job's default has one, for their mean.
+    """
     made = manoeuvre("linear")
-    settings = replace(
-        made.settings["noise_free"], degree=degree, algorithm="coupled" if part is WHOLE else "decoupled"
-    )
+    algorithm: Literal["coupled", "decoupled"] = "coupled" if part is WHOLE else "decoupled"
+    settings = replace(made.settings["noise_free"], degree=degree, algorithm=algorithm, extremes="each")
     solve = sos.solve
 
     def record(structure: sos.Structure, data: sos.Data, **options: Any) -> sos.Solution:
@@ -76,7 +78,7 @@ def map_data(part: Part, degree: int) -> tuple[sos.Structure, sos.Data]:
             raise _Recorded(structure, data)
         return solve(structure, data, **options)
 
-    # The main job's own program, whatever it comes to be, and not a copy of its making.
+    # The synthesis's own program, whatever it comes to be, and not a copy of its making.
     with mock.patch.object(sos, "solve", record):
         try:
             synthesise(made.model, made.nominal, made.disturbance, settings)

@@ -224,6 +224,7 @@ class Setting(_Section):
     least_expected: float | None = Field(default=None, gt=0.0)
     attitude: Literal["relative", "euler"] | None = None
     coupling: Literal["expected", "dropped", "carried"] | None = None
+    extremes: Literal["mean", "each"] | None = None
     certificate: Literal["polynomial only", "sampled", "rigorous"] | None = None
     gust: Annotated[Speed, Field(ge=0.0)] | None = None
     gust_rotation: Annotated[Rate, Field(ge=0.0)] | None = None

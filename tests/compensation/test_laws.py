@@ -191,3 +191,11 @@ def test_a_rate_that_cannot_be_kept_is_named():
 def test_settings_that_do_not_go_together_are_named(change, words):
     with pytest.raises(InputError, match=words):
         SynthesisSettings(**change)
+
+
+def test_a_mean_square_above_every_extreme_is_no_less_than_their_mean():
+    plane, nominal = aircraft(), table2(2)
+    each, mean = (design(plane, nominal, BOX, SynthesisSettings(extremes=name)) for name in ("each", "mean"))
+    assert each.feasible.all()
+    assert np.all(each.bound >= mean.bound * (1.0 - 1e-6))
+    assert np.any(each.bound > mean.bound * (1.0 + 1e-4))

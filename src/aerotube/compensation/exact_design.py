@@ -66,6 +66,7 @@ def _shape(task: Task, index: int, rows: Beats) -> Shape:
         controls=len(part.controls),
         vertices=len(task.ground.vertices) * carried.count(task),
         carried=carried.count(task),
+        means=carried.count(task) * (len(task.ground.vertices) if settings.extremes == "each" else 1),
         steps=steps,
         law_degree=settings.law_degree,
         degree=max(settings.degree, 2 * (settings.law_degree if worst else (settings.law_degree + 1) // 2)),

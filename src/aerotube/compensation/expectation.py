@@ -104,8 +104,11 @@ def mean_square(task: Task, index: int, beats: Beats, points: Array, end: Array,
     state += np.einsum("bij,buj->bui", beyond_own(task, index, beats), points)[:, None, None]
     priced = state @ metric[:, None, None]
     pushed = np.swapaxes(input_map, -1, -2) @ metric[:, None, :8, :8] @ input_map
+    size = np.einsum("bckui,bckui->bcku", state, priced)
+    cross = np.einsum("bckui,bkim->bckum", priced[..., :8], input_map, optimize=True)
+    each = task.settings.extremes == "each"
     return MeanSquare(
-        size=np.einsum("bckui,bckui->bcku", state, priced).mean(2),
-        cross=np.einsum("bckui,bkim->bckum", priced[..., :8], input_map, optimize=True).mean(2),
+        size=size.reshape(len(beats), -1, size.shape[3]) if each else size.mean(2),
+        cross=cross.reshape(len(beats), -1, *cross.shape[3:]) if each else cross.mean(2),
         own=pushed.mean(1) + task.ground.effort[beats][:, c[:, None], c],
     )

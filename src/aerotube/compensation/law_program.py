@@ -55,6 +55,8 @@ class Shape:
         k, the number of extreme parameter values, for each of the carried errors.
     carried : int
         Number of errors of the other parts that are carried, one where none is.
+    means : int
+        c, the number of mean squares that count: for each of the carried errors, over all extremes or at each.
     steps : int
         g, the beats that the law serves.
     law_degree : int
@@ -73,6 +75,7 @@ class Shape:
     controls: int
     vertices: int
     carried: int
+    means: int
     steps: int
     law_degree: int
     degree: int
@@ -155,7 +158,7 @@ class GroupData:
     mean_weights : ndarray (b, U')
         Of the cubature, zero for a linear law.
     mean_size : ndarray (b, g, c, U')
-        Expected cost without compensation, for each of the c carried errors.
+        Expected cost without compensation, c of them.
     mean_cross : ndarray (b, g, c, U', m)
         Half its derivative with respect to the virtual controls.
     own : ndarray (b, g, m, m)

@@ -9,7 +9,8 @@ measurement. For a linear law
 
 is a sum of squares on the sphere, with M the second moments of the errors to be expected and :math:`M_\varphi` those
 of :math:`\varphi(z + v)`. The quadratic form N majorises on the boundary of the set; for a linear map without offset it
-is exact and the objective is the mean square, otherwise the objective stands in for it.
+is exact and the objective is the mean square, otherwise the objective stands in for it. Where the uncertain
+parameters' extremes are taken one by one, N lies above the form at each of them.
 
 A law of higher degree would be judged by how loosely a quadratic form lies above polynomials of degree four and six:
 for these the expectation itself is taken, by cubature over normal errors of moments M, to which a small share spread
@@ -47,8 +48,8 @@ def declare(program: sos.Program, shape: Shape) -> None:
     program.norm("effort", size=shape.steps * shape.controls * shape.monomials + 1)
     for s in range(shape.steps if shape.law_degree == 1 else 0):
         program.symmetric(f"N/{s}", shape.states)
-        for j in range(shape.carried):
-            program.sos(f"mean/{s * shape.carried + j}", shape.domain, degree=shape.degree)
+        for j in range(shape.means):
+            program.sos(f"mean/{s * shape.means + j}", shape.domain, degree=shape.degree)
 
 
 def data(
@@ -68,7 +69,7 @@ def data(
     cross = 2.0 * group.mean_cross @ scaling.gain[:, None, None] / size[..., None]
     constraints: dict[str, tuple[Array, ...]] = {}
     if shape.law_degree > 1:
-        by_law = np.einsum("bu,bgcui,bguj->bij", group.mean_weights / shape.carried, cross, table, optimize=True)
+        by_law = np.einsum("bu,bgcui,bguj->bij", group.mean_weights / shape.means, cross, table, optimize=True)
         objective[:, K.slice] += weight * by_law.reshape(len(by_law), -1)
     else:
         constant = -group.mean_size / size
@@ -77,10 +78,10 @@ def data(
         linear[..., K.slice] = by_law.reshape(*constant.shape, K.size)
         for s in range(shape.steps):
             N = compiled.variable(f"N/{s}")
-            linear[:, s, ..., N.slice] = quadratic_forms(compiled.nodes(f"mean/{s * shape.carried}"))
+            linear[:, s, ..., N.slice] = quadratic_forms(compiled.nodes(f"mean/{s * shape.means}"))
             objective[:, N.slice] += weight * inner_product(group.expected[:, s])
-            for j in range(shape.carried):
-                constraints[f"mean/{s * shape.carried + j}"] = (constant[:, s, j], linear[:, s, j])
+            for j in range(shape.means):
+                constraints[f"mean/{s * shape.means + j}"] = (constant[:, s, j], linear[:, s, j])
     objective[:, t.index] += weight
     constraints["effort"] = law_square(compiled, t, scaling.mean_root, _law_moments(shape, group, heard))
     return constraints
@@ -104,5 +105,5 @@ def constant(shape: Shape, group: GroupData) -> Array:
 
     A law of higher degree's expectation has a part that no law changes; a linear law's is in its majorant.
     """
-    weight = dict(shape.weights).get("mean-square", 0.0) / shape.carried
+    weight = dict(shape.weights).get("mean-square", 0.0) / shape.means
     return weight * np.asarray(np.einsum("bu,bgcu->b", group.mean_weights, group.mean_size))

@@ -99,6 +99,9 @@ class SynthesisSettings:
         :mod:`aerotube.compensation.expectation`; zero, as the paper does; or at their worst, see
         :mod:`aerotube.compensation.carried`. Only the mean square knows what is to be expected; other sizes take
         them for zero then.
+    extremes : {"mean", "each"}
+        Whether the mean square is that over the extremes of the uncertain parameters, either of which is as likely, or
+        one that lies above it at each of them.
     certificate : {"polynomial only", "sampled", "rigorous"}
         What the tubes are to rest on, see :class:`~aerotube.compensation.Tubes`. Rigorous bounds want an aircraft
         with smooth tables: the kinks of linear ones widen them.
@@ -135,6 +138,7 @@ class SynthesisSettings:
     least_expected: float = 1e-2
     attitude: Literal["relative", "euler"] = "relative"
     coupling: Literal["expected", "dropped", "carried"] = "expected"
+    extremes: Literal["mean", "each"] = "mean"
     certificate: Certificate = "sampled"
     gust: float = 0.0
     gust_rotation: float = 0.0
@@ -154,6 +158,7 @@ class SynthesisSettings:
             "limits": ("box", "ellipsoid"),
             "attitude": ("relative", "euler"),
             "coupling": ("expected", "dropped", "carried"),
+            "extremes": ("mean", "each"),
             "certificate": ("polynomial only", "sampled", "rigorous"),
         }
         for name, allowed in choices.items():
