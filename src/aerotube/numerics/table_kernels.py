@@ -11,7 +11,7 @@ from aerotube.numerics.tables import Table1, Table2
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def cell_of(data: Array, start: int, cells: int, inverse_step: float, x: float) -> int:
     """Index of the cell that holds x, its boundaries starting at `start`; 0 where x is not a number."""
     last = cells - 1
@@ -31,7 +31,7 @@ def cell_of(data: Array, start: int, cells: int, inverse_step: float, x: float) 
     return index
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def locate1(table: Table1, x: float) -> tuple[int, float]:
     """Where in the table's row the cell's coefficients (outputs, powers) start, and x relative to its origin."""
     cell = cell_of(table.data, 0, table.cells, table.inverse_step, x)
@@ -39,7 +39,7 @@ def locate1(table: Table1, x: float) -> tuple[int, float]:
     return start, x - table.data[table.cells - 1 + cell]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def locate2(table: Table2, x: float, y: float) -> tuple[int, float, float]:
     """Where in the table's row the cell's coefficients (outputs, powers of x, of y) start, and x, y in the cell."""
     start_y = 2 * table.cells_x - 1
@@ -52,49 +52,48 @@ def locate2(table: Table2, x: float, y: float) -> tuple[int, float, float]:
     return start, local_x, local_y
 
 
-@njit(cache=True, nogil=True)
-def point1(table: Table1, x: float, values: Array) -> None:
-    """Write the outputs (outputs,) at one point."""
-    data, powers = table.data, table.powers
-    start, local = locate1(table, x)
-    for output in range(table.outputs):
-        last = start + (output + 1) * powers - 1
-        value = data[last]
-        for power in range(1, powers):
-            value = value * local + data[last - power]
-        values[output] = value
+@njit(cache=True, nogil=True, forceinline=True)
+def value1(data: Array, start: int, powers: int, output: int, x: float) -> float:
+    """One output of the cell whose coefficients start there, x relative to its origin."""
+    last = start + (output + 1) * powers - 1
+    value = data[last]
+    for power in range(1, powers):
+        value = value * x + data[last - power]
+    return value
 
 
-@njit(cache=True, nogil=True)
-def point2(table: Table2, x: float, y: float, values: Array) -> None:
-    """Write the outputs (outputs,) at one point."""
-    data, powers_x, powers_y = table.data, table.powers_x, table.powers_y
-    start, local_x, local_y = locate2(table, x, y)
-    last = start - 1
-    for output in range(table.outputs):
-        last += powers_x * powers_y
-        value = 0.0
-        for i in range(powers_x):
-            row = last - i * powers_y
-            inner = data[row]
-            for j in range(1, powers_y):
-                inner = inner * local_y + data[row - j]
-            value = value * local_x + inner
-        values[output] = value
+@njit(cache=True, nogil=True, forceinline=True)
+def value2(data: Array, start: int, powers_x: int, powers_y: int, output: int, x: float, y: float) -> float:
+    """One output of the cell whose coefficients start there, x and y relative to its origin."""
+    last = start - 1 + (output + 1) * powers_x * powers_y
+    value = 0.0
+    for i in range(powers_x):
+        row = last - i * powers_y
+        inner = data[row]
+        for j in range(1, powers_y):
+            inner = inner * y + data[row - j]
+        value = value * x + inner
+    return value
 
 
 @njit(cache=True, nogil=True)
 def evaluate1(table: Table1, x: Array, values: Array) -> None:
     """Write the outputs (outputs, points) at the points x (points,)."""
+    data, powers = table.data, table.powers
     for point in range(x.size):
-        point1(table, x[point], values[:, point])
+        start, local = locate1(table, x[point])
+        for output in range(table.outputs):
+            values[output, point] = value1(data, start, powers, output, local)
 
 
 @njit(cache=True, nogil=True)
 def evaluate2(table: Table2, x: Array, y: Array, values: Array) -> None:
     """Write the outputs (outputs, points) at the points (x, y), each (points,)."""
+    data, powers_x, powers_y = table.data, table.powers_x, table.powers_y
     for point in range(x.size):
-        point2(table, x[point], y[point], values[:, point])
+        start, local_x, local_y = locate2(table, x[point], y[point])
+        for output in range(table.outputs):
+            values[output, point] = value2(data, start, powers_x, powers_y, output, local_x, local_y)
 
 
 @njit(cache=True, nogil=True)
