@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 
 from aerotube.dynamics import ErrorCoordinates
 from aerotube.runtime.commander import Beat, Commander, Source
-from aerotube.runtime.kernels import clamp, difference, moved
+from aerotube.runtime.kernels import clamp
 from aerotube.runtime.messages import Rung
 from tests.samples import HALF_WIDTHS, aircraft, table2
 
@@ -23,24 +23,6 @@ def commander(kind="relative"):
 
 def beat(gains, number=0):
     return Beat(NOMINAL.states[number], NOMINAL.controls[number], gains, Rung.PLANNED, NOMINAL.states[number + 1])
-
-
-@pytest.mark.parametrize("kind", ["relative", "euler"])
-def test_compiled_error_is_that_of_the_coordinates(kind):
-    random = np.random.default_rng(3)
-    coordinates = ErrorCoordinates(kind)
-    states = ErrorCoordinates("euler").retract(NOMINAL.states[1], random.uniform(-3, 3, (200, 8)) * HALF_WIDTHS)
-    expected = coordinates.difference(states, NOMINAL.states[2])
-    found = np.stack([difference(state, NOMINAL.states[2], kind == "relative") for state in states])
-    assert found == pytest.approx(expected, abs=1e-12)
-
-
-def test_compiled_states_are_those_of_the_coordinates():
-    random = np.random.default_rng(5)
-    errors = random.uniform(-3, 3, (100, 8)) * HALF_WIDTHS
-    expected = ErrorCoordinates().retract(NOMINAL.states[2], errors)[:, :10]
-    found = np.stack([moved(NOMINAL.states[2], error) for error in errors])
-    assert found == pytest.approx(expected, abs=1e-12)
 
 
 def test_command_is_the_law_realised():

@@ -120,22 +120,24 @@ def compiled_step(rates: Any, model: Any, state_count: int, control_count: int, 
 @cache
 def _realise_kernel(realise: Any, sources: str) -> Any:
     @njit(cache=True, nogil=True)
-    def controls(model: Any, state: Array, control: Array, increment: Array, result: Array) -> str:
-        moved = realise(
-            borrowed(model),
-            _components(state, 13),
-            (control[0], control[1], control[2], control[3]),
-            (increment[0], increment[1], increment[2], increment[3]),
-        )
-        for i in range(4):
-            result[i] = moved[i]
+    def controls(model: Any, states: Array, nominal: Array, increments: Array, result: Array) -> str:
+        numbers = borrowed(model)
+        for run in range(states.shape[0]):
+            moved = realise(
+                numbers,
+                _components(states[run], 13),
+                _components(nominal[run], 4),
+                _components(increments[run], 4),
+            )
+            for i in range(4):
+                result[run, i] = moved[i]
         return sources  # see `_kernel`
 
     return controls
 
 
 def compiled_realise(realise: Any, model: Any) -> Realise:
-    """Controls that give increments of the virtual controls, compiled, for one state at a time.
+    """Controls that give increments of the virtual controls, compiled.
 
     Parameters
     ----------
@@ -147,13 +149,14 @@ def compiled_realise(realise: Any, model: Any) -> Realise:
     Returns
     -------
     callable
-        ``realise(state (13,), control (4,), increment (4,))`` to controls (4,), not yet clipped to their limits.
+        ``realise(states (runs, 13 or more), controls (runs, 4), increments (runs, 4))`` to controls (runs, 4), not yet
+        clipped to their limits. Arrays are contiguous, of float64.
     """
     kernel = _realise_kernel(realise, _sources())
 
-    def controls(state: Array, control: Array, increment: Array) -> Array:
-        result = np.empty(4)
-        kernel(model, state, control, increment, result)
+    def controls(states: Array, nominal: Array, increments: Array) -> Array:
+        result = np.empty((len(states), 4))
+        kernel(model, states, nominal, increments, result)
         return result
 
     return controls

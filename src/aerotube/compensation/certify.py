@@ -133,6 +133,19 @@ def sampled_bounds(work: Work, law: BatchLaw, sizes: Sequence[Sizes]) -> list[Fo
     return _joined(work.batches(task, _SAMPLED))
 
 
+def sampled_sizes(work: Work, law: BatchLaw | None) -> Array:
+    """Sampled sizes of every part, with a law or without it: ndarray (b, parts), infinite where there is no bound."""
+
+    def task(rows: slice) -> Array:
+        beats = work.beats[rows]
+        over = work.set_of(beats, work.beyond if law is not None else work.air)
+        search = sampled.Search(partial(_fly, work, beats, over, law), over, work.sampling)
+        return sampled.sizes(search, work.parts, [metric[rows] for metric in work.metric])
+
+    # each thread has one batch: the flights are many, and what is done once a batch is not
+    return np.concatenate(work.batches(task, -(-len(work.beats) // work.workers)))
+
+
 def _fly(work: Work, beats: Beats, over: BeatSet, law: BatchLaw | None, points: Array) -> Array:
     return flown_map(work.aircraft, work.nominal, beats, work.coordinates, over, points, law)
 

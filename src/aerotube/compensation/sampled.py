@@ -18,7 +18,7 @@ one of its ends with probability one half and uniform otherwise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -26,12 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube.compensation.bounds import SHARES, Bound
+from aerotube.compensation.climb import climb_fits
 from aerotube.compensation.covers import sum_around
 from aerotube.compensation.settings import Part
 from aerotube.dynamics import BeatSet
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Task = Generator[Array, Array, tuple[Array, Array]]
 
 #: What the largest size found is multiplied by, in the metric of a tube and in its terminal ellipsoid, which may be a
 #: sliver in which only what is not linear is seen. A search of a million points a beat on the manoeuvre of Table 2 went
@@ -199,6 +201,24 @@ class Search:
             Infinite where some flight was not finite. If all variables are free, at least that of every sample.
         point : ndarray (b, k)
         """
+        return self.together([self.task(errors, form, free, effort)])[0]
+
+    def together(self, tasks: Sequence[Task]) -> list[tuple[Array, Array]]:
+        """Do several tasks of the same effort at once, so that what each of them flies is flown in one go."""
+        asked, found = [next(task) for task in tasks], list[tuple[Array, Array]]()
+        while not found:
+            ends = self.fly(np.concatenate(asked, axis=1))
+            own = np.split(ends, np.cumsum([points.shape[1] for points in asked])[:-1], axis=1)
+            asked = []
+            for task, part in zip(tasks, own, strict=True):
+                try:
+                    asked.append(task.send(part))
+                except StopIteration as done:
+                    found.append(done.value)
+        return found
+
+    def task(self, errors: Sequence[int], form: Array, free: Mask, effort: _Effort = USUAL) -> Task:
+        """What :meth:`largest` does, as a task that asks for points (b, u, k) to be flown and is sent their ends."""
         own = list(errors)
         sizes = _sizes(self.ends[..., own], form)
         best = np.argsort(-sizes, axis=1)[:, : effort.samples]
@@ -207,51 +227,55 @@ class Search:
         if free.all():
             found.take(np.take_along_axis(sizes, best, axis=1), worst)
         points = self._worst_of_fit(worst, own, free, form, effort)
-        values = _sizes(self.fly(points)[..., own], form)
+        values = _sizes((yield points)[..., own], form)
         found.take(values, points)
         if effort.refinements:
             starts = np.concatenate([found.point[:, None], points, worst], axis=1)[:, : 2 * effort.climbers - 1]
-            self._climb(found, starts, own, free, form, effort)
+            yield from self._climb(found, starts, own, free, form, effort)
         value = np.where(self.sound, found.value, np.inf)
         return value, found.point
 
     def _worst_of_fit(self, starts: Array, own: list[int], free: Mask, form: Array, effort: _Effort) -> Array:
         """Worst points of the fitted maps, climbed to from given points and from principal directions: (b, s, k)."""
         # measurement errors and wind, which are not curved, come last
-        curved = self.bends.shape[-1]
-        centre, bends = self.centre[:, None, own], self.bends[:, own] * np.outer(free, free)[:curved, :curved]
         slopes = self.slopes[:, own] * free
-        vectors = np.linalg.eigh(np.swapaxes(slopes, 1, 2) @ form @ slopes)[1][..., : -1 - effort.directions : -1]
-        principal = support(self.over, np.swapaxes(vectors, 1, 2))
+        values, vectors = np.linalg.eigh(form)
+        # the largest singular vectors of the linear map, by the small side of its Gram matrix
+        seen = np.sqrt(np.maximum(values, 0.0))[..., None] * (np.swapaxes(vectors, 1, 2) @ slopes)
+        left = np.linalg.eigh(seen @ np.swapaxes(seen, 1, 2))[1][..., : -1 - effort.directions : -1]
+        principal = support(self.over, np.swapaxes(left, 1, 2) @ seen)
         points = np.concatenate([starts, principal, -principal], axis=1)
-        flat = np.swapaxes(bends.reshape(self.beats, -1, curved), 1, 2)
-        for step in range(effort.steps + 1):
-            inner = points[..., :curved]
-            bent = (inner @ flat).reshape(*points.shape[:2], len(own), curved)
-            ends = centre + points @ np.swapaxes(slopes, 1, 2) + 0.5 * (bent @ inner[..., None])[..., 0]
-            if step == effort.steps:
-                break
-            ahead = ends @ form
-            gradient = ahead @ slopes
-            gradient[..., :curved] += (ahead[:, :, None, :] @ bent)[:, :, 0]
-            points = support(self.over, gradient)
-        best = np.argsort(-_sizes(ends, form), axis=1)[:, : effort.flown]
+        sizes = climb_fits(
+            points,
+            np.ascontiguousarray(self.centre[:, own]),
+            slopes,
+            np.ascontiguousarray(self.bends[:, own]),
+            np.ascontiguousarray(form),
+            free,
+            np.array(self.over.balls),
+            effort.steps,
+        )
+        best = np.argsort(-sizes, axis=1)[:, : effort.flown]
         return np.asarray(np.take_along_axis(points, best[..., None], axis=1))
 
-    def _climb(self, found: _Best, points: Array, own: list[int], free: Mask, form: Array, effort: _Effort) -> None:
+    def _climb(
+        self, found: _Best, points: Array, own: list[int], free: Mask, form: Array, effort: _Effort
+    ) -> Generator[Array, Array, None]:
         """Climb from points (b, s, k) along local slopes of the true map."""
         for _ in range(effort.refinements):
-            end, slopes = self._local(points, own, free, free if effort.climbers > 1 else free & self.curved)
+            end, slopes = yield from self._local(points, own, free, free if effort.climbers > 1 else free & self.curved)
             best = _sizes(end, form)
             for _ in range(_LOCAL_STEPS):
-                ahead = support(self.over, np.einsum("bsn,bnm,bsmk->bsk", end, form, slopes, optimize=True))
-                end = self.fly(ahead)[..., own]
+                ahead = support(self.over, ((end @ form)[:, :, None] @ slopes)[:, :, 0])
+                end = (yield ahead)[..., own]
                 values = _sizes(end, form)
                 found.take(values, ahead)
                 points = np.where((values > best)[..., None], ahead, points)
                 best = np.maximum(values, best)
 
-    def _local(self, points: Array, own: list[int], free: Mask, differenced: Mask) -> tuple[Array, Array]:
+    def _local(
+        self, points: Array, own: list[int], free: Mask, differenced: Mask
+    ) -> Generator[Array, Array, tuple[Array, Array]]:
         """Values (b, s, n) and slopes (b, s, n, k), over short steps inwards, of the map at points (b, s, k).
 
         In variables that are not differenced they are the fitted ones.
@@ -260,7 +284,7 @@ class Search:
         reach = np.where(points > 0.0, -_LOCAL, _LOCAL)[..., axes]
         moved = np.repeat(points[:, :, None], len(axes) + 1, axis=2)
         moved[:, :, np.arange(len(axes)), axes] += reach
-        ends = self.fly(moved.reshape(self.beats, -1, self.size)).reshape(*moved.shape[:3], 8)[..., own]
+        ends = (yield moved.reshape(self.beats, -1, self.size)).reshape(*moved.shape[:3], 8)[..., own]
         slopes = np.repeat((self.slopes[:, own] * free)[:, None], points.shape[1], axis=1)
         slopes[..., axes] = np.swapaxes((ends[:, :, :-1] - ends[:, :, -1:]) / reach[..., None], 2, 3)
         return ends[:, :, -1], slopes
@@ -284,6 +308,34 @@ class _Best:
 
 def _sizes(ends: Array, form: Array) -> Array:
     return np.asarray(np.sum((ends @ form) * ends, axis=-1))
+
+
+def sizes(search: Search, parts: Sequence[Part], forms: Sequence[Array]) -> Array:
+    """Sampled bounds of the sizes of parts, and nothing else of what :func:`bound` gives: for use in flight.
+
+    Parameters
+    ----------
+    search : Search
+        Over the whole set of the beats.
+    parts : sequence of Part
+    forms : sequence of ndarray (b, n, n)
+        The metric of each.
+
+    Returns
+    -------
+    ndarray (b, parts)
+        Infinite where a flight was not finite.
+    """
+    every = np.ones(search.size, dtype=bool)
+    pairs = list(zip(parts, forms, strict=True))
+    found = search.together([search.task(part.errors, form, every) for part, form in pairs])
+    moved = [point[:, None] * _off_extremes(search) for _, point in found]
+    ends = np.split(search.fly(np.concatenate(moved, axis=1)), len(parts), axis=1)
+    out = [
+        np.maximum(value, _sizes(end[..., list(part.errors)], form).max(axis=1))
+        for (part, form), (value, _), end in zip(pairs, found, ends, strict=True)
+    ]
+    return np.asarray(FACTOR * np.nan_to_num(np.stack(out, axis=1), nan=np.inf))
 
 
 def bound(search: Search, part: Part, form: Array, polynomial: Array) -> Bound:
@@ -344,13 +396,18 @@ def _levels(over: BeatSet, part: Part) -> list[Mask | None]:
 
 def _inside(search: Search, point: Array, own: list[int], form: Array) -> Array:
     """Largest size at points (b, k) with the parameters moved off their extremes."""
+    ends = search.fly(point[:, None] * _off_extremes(search))
+    return np.asarray(_sizes(ends[..., own], form).max(axis=1))
+
+
+def _off_extremes(search: Search) -> Array:
+    """Factors (3, k) that move the parameters off their extremes."""
     over = search.over
     pairs = zip(over.names, over.balls, strict=True)
     known = np.array([" " not in name and size == 1 for name, size in pairs])
-    parameters = np.repeat(known, over.balls)
     shrink = np.ones((3, search.size))
-    shrink[:, parameters] = np.array([[-0.5], [0.0], [0.5]])
-    return np.asarray(_sizes(search.fly(point[:, None] * shrink)[..., own], form).max(axis=1))
+    shrink[:, np.repeat(known, over.balls)] = np.array([[-0.5], [0.0], [0.5]])
+    return shrink
 
 
 def _terminal_shape(search: Search, own: list[int]) -> Array:

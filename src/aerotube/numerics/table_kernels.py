@@ -11,7 +11,7 @@ from aerotube.numerics.tables import Table1, Table2
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True)
 def cell_of(data: Array, start: int, cells: int, inverse_step: float, x: float) -> int:
     """Index of the cell that holds x, its boundaries starting at `start`; 0 where x is not a number."""
     last = cells - 1
@@ -31,7 +31,7 @@ def cell_of(data: Array, start: int, cells: int, inverse_step: float, x: float) 
     return index
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True)
 def locate1(table: Table1, x: float) -> tuple[int, float]:
     """Where in the table's row the cell's coefficients (outputs, powers) start, and x relative to its origin."""
     cell = cell_of(table.data, 0, table.cells, table.inverse_step, x)
@@ -39,7 +39,7 @@ def locate1(table: Table1, x: float) -> tuple[int, float]:
     return start, x - table.data[table.cells - 1 + cell]
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True)
 def locate2(table: Table2, x: float, y: float) -> tuple[int, float, float]:
     """Where in the table's row the cell's coefficients (outputs, powers of x, of y) start, and x, y in the cell."""
     start_y = 2 * table.cells_x - 1
@@ -52,7 +52,7 @@ def locate2(table: Table2, x: float, y: float) -> tuple[int, float, float]:
     return start, local_x, local_y
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True)
 def value1(data: Array, start: int, powers: int, output: int, x: float) -> float:
     """One output of the cell whose coefficients start there, x relative to its origin."""
     last = start + (output + 1) * powers - 1
@@ -62,7 +62,7 @@ def value1(data: Array, start: int, powers: int, output: int, x: float) -> float
     return value
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True)
 def value2(data: Array, start: int, powers_x: int, powers_y: int, output: int, x: float, y: float) -> float:
     """One output of the cell whose coefficients start there, x and y relative to its origin."""
     last = start - 1 + (output + 1) * powers_x * powers_y

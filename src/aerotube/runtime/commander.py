@@ -161,7 +161,7 @@ class Commander:
         if self._realise is None:
             control = self.aircraft.realise(state, beat.nominal_control, increment)
         else:
-            control = self._realise(state, beat.nominal_control, increment)
+            control = self._realise(state[None], beat.nominal_control[None], increment[None])[0]
         control, clamped = clamp(control, beat.nominal_control, increment, self._low, self._high)
         return Command(control, error, beat.rung, source, clamped)
 
