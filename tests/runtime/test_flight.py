@@ -13,9 +13,10 @@ from typer.testing import CliRunner
 
 from aerotube import flight
 from aerotube.cli import cli
-from aerotube.compensation import LinearLaw
+from aerotube.compensation import KINDS
 from aerotube.dynamics import ErrorCoordinates
 from aerotube.errors import InputError
+from aerotube.preparation import prepare
 from aerotube.runtime import log
 from aerotube.runtime.commander import Source
 from aerotube.runtime.flight import Options, fly, make_estimator
@@ -23,6 +24,7 @@ from aerotube.runtime.messages import Rung
 from aerotube.runtime.outcome import deadlines, errors_flown, summarise
 from aerotube.runtime.page import save
 from aerotube.runtime.plant import Actuators, Plant
+from aerotube.scenario import load
 
 CALM = Options(speed=np.inf, link="thread", window=6, workers=1)
 
@@ -34,7 +36,7 @@ def undisturbed(prepared):
 
 def simulated(prepared, flown):
     """The same draws through `flight.simulate`, with the laws of the first manoeuvre."""
-    law = LinearLaw(flown.record.gains[: prepared.nominal.beats], ErrorCoordinates())
+    law = flown.record.laws[: prepared.nominal.beats].batch(flown.record.form, ErrorCoordinates())
     return flight.simulate(
         prepared.plant,
         prepared.nominal,
@@ -72,6 +74,7 @@ def test_the_summary_has_its_keys(undisturbed):
         "missed_deadlines",
         "missed_unexplained",
         "fallbacks",
+        "certificates",
         "mae",
         "rmse",
         "latency_us",
@@ -105,6 +108,28 @@ def test_a_log_flies_again_to_the_same_numbers(prepared, tmp_path):
     assert log.replay(other)["command"] > 0.0
 
 
+@pytest.mark.parametrize(
+    "chosen",
+    [{"saturation": 4}, {"law_degree": 2}, {"law_degree": 3, "saturation": 2}],
+    ids=["saturating", "quadratic", "cubic"],
+)
+def test_laws_of_any_form_fly_as_they_are_simulated_and_replayed(chosen, tmp_path):
+    overrides = {f"synthesis.{key}": value for key, value in chosen.items()}
+    prepared = prepare(load(None, {"nominal.horizon": "0.3 s", **overrides}))
+    flown = fly(prepared, replace(CALM, deviation="box", window=3, seed=5))
+    record = flown.record
+    assert (record.rung == Rung.PLANNED).all()
+    assert (record.kind == KINDS.index("sampled")).all()
+    assert errors_flown(flown) == pytest.approx(simulated(prepared, flown).error, abs=1e-8)
+    assert (record.command >= flown.world.aircraft.control_lower).all()
+    assert (record.command <= flown.world.aircraft.control_upper).all()
+    summary = save(flown, tmp_path)
+    assert summary["certificates"] == {"sampled": 6, "none": 0}
+    found = log.replay(log.read(tmp_path / "flight.nc"))
+    assert found["state"] == 0.0
+    assert found["command"] == 0.0
+
+
 def test_faults_are_survived_logged_and_never_leave_the_limits(prepared):
     options = replace(CALM, speed=12.0, duration=36.0, faults=300, deviation="box", noise=0.0, seed=3)
     flown = fly(prepared, options)
@@ -124,6 +149,8 @@ def test_faults_are_survived_logged_and_never_leave_the_limits(prepared):
             # held back for less than the beat was late itself: then it is that beat's own measurement
             true = flown.truth.states[divmod(beat, flown.world.beats)]
             assert record.measured[beat, : len(true)] == pytest.approx(true, rel=1e-9, abs=1e-12)
+    # no certificate is claimed for a beat without a certified law that was given its own measurement
+    assert (record.kind[(record.source != Source.MEASURED) | (record.rung.max(1) > Rung.LAST)] < 0).any(axis=1).all()
     reached = record.source >= 0
     assert (record.rung[reached] >= 0).all()
     alone = (record.rung == Rung.NOMINAL).all(axis=1) & reached

@@ -25,6 +25,7 @@ from aerotube.runtime.channels import Channel, QueueChannel, SocketChannel
 from aerotube.runtime.commander import Beat, Commander
 from aerotube.runtime.faults import Faults, FaultyChannel
 from aerotube.runtime.guidance import Guidance
+from aerotube.runtime.law import Form, Laws
 from aerotube.runtime.messages import Rung
 from aerotube.runtime.pilot import Pilot
 from aerotube.runtime.plant import Actuators, Truth, World
@@ -204,7 +205,7 @@ def fly(
     world, task = make_world(prepared, options), make_task(prepared, options)
     guidance = Guidance(prepared.rigid, prepared.nominal, options.replan, options.seed)
     estimator = make_estimator(prepared, options)
-    commander = make_commander(prepared, estimator)
+    commander = make_commander(prepared, estimator, task.form)
     beats = world.manoeuvres * world.beats
     say("starting the aircraft and the watchdog")
     own = options.port is None
@@ -285,12 +286,6 @@ def make_task(prepared: Prepared, options: Options) -> Task:
     """What every window is computed from; the noisy setting of the synthesis where the law sees noise."""
     noisy = _noise(prepared, options) > 0 and not options.estimator
     settings = replace(prepared.settings["noise" if noisy else "noise_free"], reuse=options.reuse)
-    if settings.saturation != 1.0:
-        raise InputError("flight: laws that saturate are not flown against the clock; set saturation = 1.")
-    if settings.law_degree > 1:
-        raise InputError(
-            f"flight: laws of degree {settings.law_degree} are not flown against the clock; set law_degree = 1."
-        )
     return Task(
         aircraft=prepared.model,
         disturbance=prepared.disturbance,
@@ -316,11 +311,11 @@ def make_estimator(prepared: Prepared, options: Options) -> flight.ExtendedKalma
     )
 
 
-def make_commander(prepared: Prepared, estimator: flight.ExtendedKalmanFilter | None) -> Commander:
+def make_commander(prepared: Prepared, estimator: flight.ExtendedKalmanFilter | None, form: Form) -> Commander:
     """From measurements to commands."""
     coordinates = ErrorCoordinates(prepared.settings["noise"].attitude)
     gate = _GATE * np.asarray(prepared.disturbance.half_widths)
-    return Commander(prepared.plant, coordinates, prepared.nominal.dt, estimator, gate)
+    return Commander(prepared.plant, coordinates, prepared.nominal.dt, estimator, form, gate)
 
 
 def _noise(prepared: Prepared, options: Options) -> float:
@@ -368,7 +363,8 @@ def _warm_up(prepared: Prepared, commander: Commander, task: Task) -> float:
     start = np.concatenate([nominal.states[0][:13], np.zeros(len(state) - 13)])
     if len(state) > 13:
         start[13:] = commander.aircraft.settled(tuple(nominal.controls[0]))
-    beat = Beat(nominal.states[0], nominal.controls[0], np.zeros((4, 8)), Rung.NOMINAL, nominal.states[1])
+    law = Laws.none(task.form, 1)[0]
+    beat = Beat(nominal.states[0], nominal.controls[0], law, Rung.NOMINAL, nominal.states[1])
     commander.begin()
     for _ in range(3):
         commander.believes(start, beat)

@@ -35,14 +35,51 @@ def plausible(state: Array, expected: Array, gate: Array, relative: bool) -> boo
 
 
 @njit(cache=True)
-def increments(gains: Array, state: Array, nominal: Array, relative: bool) -> tuple[Array, Array]:
-    """Error (8,) and increments (4,) of a linear law (4, 8)."""
+def increments(
+    coefficients: Array,
+    room: Array,
+    reach: Array,
+    factors: NDArray[np.int64],
+    part_of: NDArray[np.int64],
+    state: Array,
+    nominal: Array,
+    relative: bool,
+) -> tuple[Array, Array]:
+    """Error (8,) and increments (4,) of a law; see `aerotube.runtime.law` for its numbers and its form."""
     error = difference(state, nominal, relative)
+    values = np.empty(coefficients.shape[1])
+    values[:8] = error
+    if len(factors):
+        _monomials(error, reach, factors, part_of, values)
     out = np.zeros(4)
     for i in range(4):
-        for j in range(8):
-            out[i] += gains[i, j] * error[j]
+        for j in range(len(values)):
+            out[i] += coefficients[i, j] * values[j]
+        # what is no number stays none, and is seen for it
+        if out[i] < room[i, 0]:
+            out[i] = room[i, 0]
+        elif out[i] > room[i, 1]:
+            out[i] = room[i, 1]
     return error, out
+
+
+@njit(cache=True)
+def _monomials(
+    error: Array, reach: Array, factors: NDArray[np.int64], part_of: NDArray[np.int64], values: Array
+) -> None:
+    """Write the monomials (M,) of an error, those of higher degree of the error brought back to the set's boundary."""
+    length = np.zeros(8)
+    for i in range(8):
+        z = 0.0
+        for j in range(8):
+            z += reach[i, j] * error[j]
+        length[part_of[i]] += z * z
+    for i in range(8):
+        values[i] = error[i] / max(np.sqrt(length[part_of[i]]), 1.0)
+    for row in range(len(factors)):
+        values[8 + row] = values[factors[row, 0]] * values[factors[row, 1]]
+    for i in range(8):
+        values[i] = error[i]
 
 
 @njit(cache=True)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube import scenario
+from aerotube.compensation import KINDS
 from aerotube.dynamics.errors import euler_error
 from aerotube.errors import InputError
 from aerotube.flight.metrics import error_metric, mean_absolute_error, root_mean_square_error
@@ -19,7 +20,8 @@ from aerotube.preparation import prepare
 from aerotube.results import provenance, whole_file
 from aerotube.results.record import CONTROL_UNITS, CONTROLS, STATE_UNITS, STATES
 from aerotube.runtime.commander import Beat, Source
-from aerotube.runtime.flight import Flown, Options, make_commander, make_estimator, make_world, nominal_of
+from aerotube.runtime.flight import Flown, Options, make_commander, make_estimator, make_task, make_world, nominal_of
+from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Rung
 from aerotube.runtime.outcome import deadlines, errors_flown, summarise
 from aerotube.runtime.plant import fly_substep
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 #: Raised by one in its last place when a variable is added, in its first when one is renamed or removed.
-SCHEMA_VERSION = "1.0"
+SCHEMA_VERSION = "2.0"
 
 
 def to_dataset(flown: Flown) -> xr.Dataset:
@@ -60,6 +62,7 @@ def to_dataset(flown: Flown) -> xr.Dataset:
             "measured_state": ("measured_state", [f"{i} {name}" for i, name in enumerate(names)]),
             "part": ("part", [part.name for part in flown.prepared.settings["noise"].parts]),
             "rung_name": ("rung_name", [rung.name.lower() for rung in Rung]),
+            "certificate_name": ("certificate_name", list(KINDS)),
         },
         attrs=provenance(flown.prepared.source)
         | {
@@ -87,7 +90,13 @@ def to_dataset(flown: Flown) -> xr.Dataset:
     put("source", ("beat",), record.source[:count], "0 measured, 1 predicted, 2 none, -1 beat passed over")
     put("rung", ("beat", "part"), record.rung[:count], "what stood behind the command, an index of rung_name")
     put("size", ("beat", "part"), record.size[:count], "certified size of the law's tube, in its own metric")
-    put("gain", ("beat", "control", "state"), record.gains[:count], "law, increments of the virtual controls")
+    put("certificate", ("beat", "part"), record.kind[:count], "behind the size, an index of certificate_name; -1 none")
+    laws, of_law = record.laws[:count], "law, from monomials of the error to increments of the virtual controls"
+    put("coefficient", ("beat", "control", "monomial"), laws.coefficients, of_law)
+    put("exponent", ("monomial", "state"), record.form.exponents, "powers of the errors in each monomial")
+    put("room", ("beat", "control", "end"), laws.room, "increments at which a saturating law cuts itself off")
+    if not record.form.linear:
+        put("reach", ("beat", "state", "other_state"), laws.reach, "errors beyond which the law's bends stand still")
     put("error", ("beat", "state"), record.error[:count], "error that the law was given", errors)
     put("command", ("beat", "control"), record.command[:count], "command", controls)
     put("clamped", ("beat", "control"), record.clamped[:count], "the clamp held the control at its limit")
@@ -208,11 +217,13 @@ def _replay_aircraft(dataset: xr.Dataset, world: Any) -> Array:
 def _replay_controller(dataset: xr.Dataset, prepared: Any, options: Options) -> float:
     """Largest difference between the commands of the log and those that its measurements lead to again."""
     estimator = make_estimator(prepared, options)
-    commander = make_commander(prepared, estimator)
+    commander = make_commander(prepared, estimator, make_task(prepared, options).form)
     n = len(commander.aircraft.state_names)
     horizon = int(dataset.attrs["beats_of_manoeuvre"])
-    names = ("measured", "source", "nominal_state", "nominal_end", "nominal_control", "gain", "rung", "command")
-    measured, source, start, end, control, gain, rung, logged = (dataset[name].values for name in names)
+    names = ("measured", "source", "nominal_state", "nominal_end", "nominal_control", "rung", "command")
+    measured, source, start, end, control, rung, logged = (dataset[name].values for name in names)
+    reach = dataset["reach"].values if "reach" in dataset else np.zeros((len(source), 0, 0))
+    laws = Laws(dataset["coefficient"].values, dataset["room"].values, reach)
     worst = 0.0
     for g in range(len(source)):
         if source[g] < 0:
@@ -222,7 +233,7 @@ def _replay_controller(dataset: xr.Dataset, prepared: Any, options: Options) -> 
             commander.begin()
         if estimator is not None:
             commander.estimator = replace(estimator, nominal=_around(start[g], end[g], number, prepared.nominal))
-        beat = Beat(start[g], control[g], np.ascontiguousarray(gain[g]), Rung(int(rung[g].max())), end[g])
+        beat = Beat(start[g], control[g], laws[g], Rung(int(rung[g].max())), end[g])
         state = np.ascontiguousarray(measured[g, :n]) if source[g] == Source.MEASURED else None
         found = commander.command(number, state, beat)
         commander.after(number, beat, found.control)

@@ -120,7 +120,8 @@ def summarise(flown: Flown) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``beats``; ``missed_deadlines`` and, of them, ``missed_unexplained``; ``fallbacks`` by kind (beats); ``mae``
+        ``beats``; ``missed_deadlines`` and, of them, ``missed_unexplained``; ``fallbacks`` by kind (beats);
+        ``certificates`` by kind (beats, by the part that has the least; "none": no tube is claimed); ``mae``
         and ``rmse`` of Eq. 18 over all manoeuvres, without compensation and with it; ``latency_us`` from measurement
         to command; ``realtime_factor`` of the window computation. None where a figure does not exist.
     """
@@ -137,6 +138,7 @@ def summarise(flown: Flown) -> dict[str, Any]:
         "missed_deadlines": int(missed.missed.sum()),
         "missed_unexplained": int(missed.unexplained.sum()),
         "fallbacks": flown.record.fallbacks(),
+        "certificates": flown.record.certificates(),
         **figures,
         "latency_us": {
             "median": float(np.median(spans)) if len(spans) else None,
