@@ -81,7 +81,9 @@ class Failing:
         made = design(*arguments, **options)
         feasible, stopped, gains = made.feasible.copy(), made.stopped.copy(), made.law.gains.copy()
         for place, part, how in self.broken:
-            feasible[place, part] = False
+            feasible[place, part] = how == "reversed"
+            if how == "reversed":
+                gains[made.beats[place], SETTINGS.parts[part].controls] *= -1.0
             stopped[place, part] = how == "stopped"
             if how == "infeasible":
                 gains[made.beats[place], SETTINGS.parts[part].controls] = 0.0
@@ -102,15 +104,11 @@ def test_the_ladder_in_its_order(monkeypatch):
 
 
 def test_a_law_that_is_worse_than_none_is_not_held(monkeypatch):
-    monkeypatch.setattr(windows, "design", Failing([(2, 0, "infeasible")]))
-
-    def sizes(task, nominal, beats, laws, metric):
-        size, _ = flown_size(task.aircraft, nominal, task.disturbance, None, metric, task.settings, beats=beats)
-        return windows._Sized(size if laws is None else 2.0 * size, np.ones(size.shape, int))
-
-    monkeypatch.setattr(windows, "_sizes", sizes)
+    """A law turned about pushes errors on: certified for what it is, and flown where it was made, but not held."""
+    monkeypatch.setattr(windows, "design", Failing([(1, 0, "reversed"), (2, 0, "infeasible")]))
     window = compute(TASK, NOMINAL, range(4, 8))
     assert window.rungs[:4, 0].tolist() == [Rung.PLANNED, Rung.PLANNED, Rung.LQR, Rung.PLANNED]
+    assert np.isfinite(window.size[1, 0])
 
 
 def test_what_is_not_certified_is_not_flown(monkeypatch):

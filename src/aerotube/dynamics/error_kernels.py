@@ -104,3 +104,17 @@ def moved_each(nominal: Array, error: Array) -> Array:
             _moved(nominal[beat], error[beat, row], out[beat, row])
             out[beat, row, 10:] = nominal[beat, 10:]
     return out
+
+
+@njit(cache=True, nogil=True)
+def largest_tilts(nominal: Array, turns: Array, out: Array) -> None:
+    """Largest tilts (b, 2) of states (b, n) turned by quaternions (b, k, 4): parts theta and phi of their errors."""
+    error, state = np.empty(8), np.empty(nominal.shape[1])
+    for beat in range(len(nominal)):
+        state[:] = nominal[beat]
+        out[beat] = 0.0
+        for row in range(turns.shape[1]):
+            state[3:7] = turns[beat, row]
+            _difference(state, nominal[beat], True, error)
+            out[beat, 0] = max(out[beat, 0], abs(error[3]))
+            out[beat, 1] = max(out[beat, 1], abs(error[7]))

@@ -117,10 +117,10 @@ def step(
         )
         arrays = [np.asarray(values, dtype=float) for values in given]
         batch = np.broadcast_shapes(*(array.shape[:-1] for array in arrays))
-        rows = [
-            np.ascontiguousarray(np.broadcast_to(array, (*batch, array.shape[-1]))).reshape(-1, array.shape[-1])
-            for array in arrays
-        ]
+        rows = []
+        for array in arrays:
+            full = array if array.shape[:-1] == batch else np.broadcast_to(array, (*batch, array.shape[-1]))
+            rows.append(np.ascontiguousarray(full).reshape(-1, array.shape[-1]))
         return np.asarray(quick(rows[0], rows[1], rows[2], rows[3], dt, substeps)).reshape(*batch, -1)
 
     def optional(values: Array | None) -> Components | None:

@@ -4,8 +4,9 @@ Everything that is flown is measured first, for every beat and part, on the nomi
 measurement decides what else may be flown there:
 
 * a law stopped at the solver's deadline, if its size is certified;
-* the law of an earlier beat, where a beat has none of its own, if its certified size is no larger than that of the
-  nominal alone and it keeps the controls within their limits;
+* the law of an earlier beat, where a beat has none of its own, if its size has a certificate too, if it keeps the
+  controls within their limits, and if, to first order and measured exactly, it leaves errors no larger than the nominal
+  alone would (an error of the measurement adds to every law's size, and nothing to the nominal's);
 * the law that the last manoeuvre flew at the same beat, if the nominal has moved by no more than it tolerates: its
   certified size on the new nominal is at most a stated factor of its size where it was made, in the same metric, and
   it keeps the controls within their limits there. Then nothing is designed anew (event-triggered recomputation).
@@ -30,8 +31,10 @@ from numpy.typing import NDArray
 
 from aerotube.aircraft.base import Aircraft
 from aerotube.compensation import KINDS, Design, SynthesisSettings, design, flown_size
+from aerotube.compensation.bounds import Beyond, whole_set
 from aerotube.compensation.design import available_increments
 from aerotube.compensation.groundwork import groundwork
+from aerotube.dynamics import flown_map
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.flight.lqr import time_varying_lqr
 from aerotube.nominal import Nominal
@@ -40,6 +43,8 @@ from aerotube.runtime.messages import Rung
 from aerotube.tube import DisturbanceBox, tracking_weights
 
 Array = NDArray[np.float64]
+
+_SMALL = 0.05  # share of the initial ellipsoids over which slopes are taken
 
 
 @dataclass(frozen=True)
@@ -281,9 +286,9 @@ def _assemble(
     certified = np.isfinite(size) & (origin >= 0)
     held = np.flatnonzero((rungs == Rung.LAST).any(1))
     if len(held):
-        alone = _sizes(task, nominal, beats[held], None, tuple(shape[held] for shape in metric)).size
+        useful = _useful(task, nominal, beats[held], laws, tuple(shape[held] for shape in metric))
         inside = _within_limits(task, nominal, beats[held], laws)
-        certified[held] &= (rungs[held] != Rung.LAST) | ((size[held] <= alone) & inside)
+        certified[held] &= (rungs[held] != Rung.LAST) | (useful & inside)
     for i, part in enumerate(parts):
         for j in np.flatnonzero(~certified[:, i]):
             rows = beats[j], part.controls
@@ -402,6 +407,28 @@ def _sizes(
     for number, kind in enumerate(KINDS):
         kinds[names == kind] = number
     return _Sized(size, kinds)
+
+
+def _useful(
+    task: Task, nominal: Nominal, beats: NDArray[np.intp], laws: Laws, metric: tuple[Array, ...]
+) -> NDArray[np.bool_]:
+    """Where laws leave errors no larger than the nominal alone, to first order and measured exactly: (b, parts)."""
+    parts = task.settings.parts
+    over = whole_set(task.aircraft, nominal.states[beats], task.disturbance, task.coordinates, parts, Beyond())
+    side = np.zeros((2, 8, sum(over.balls)))
+    side[0, :, :8] = _SMALL * np.eye(8)
+    side[1] = -side[0]
+    points = np.broadcast_to(side.reshape(16, -1), (len(beats), 16, side.shape[2]))
+    largest = []
+    for law in (laws.batch(task.form, task.coordinates), None):
+        ends = flown_map(task.aircraft, nominal, beats, task.coordinates, over, points, law)
+        slopes = (ends[:, :8] - ends[:, 8:]) / (2.0 * _SMALL)
+        own = [slopes[:, over.columns(part.name)][:, :, list(part.errors)] for part in parts]
+        sizes = [
+            np.linalg.eigvalsh(x @ form @ np.swapaxes(x, 1, 2))[:, -1] for x, form in zip(own, metric, strict=True)
+        ]
+        largest.append(np.stack(sizes, axis=1))
+    return np.asarray(largest[0] <= largest[1])
 
 
 def _told(task: Task, laws: dict[str, Any]) -> list[str]:
