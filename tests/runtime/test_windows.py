@@ -123,9 +123,16 @@ def test_what_is_not_certified_is_not_flown(monkeypatch):
 
 
 def test_a_solver_without_time_leaves_certified_laws_or_none():
-    window = compute(TASK, NOMINAL, range(4, 8), deadline=1e-9)
+    window = compute(TASK, NOMINAL, range(4, 8), budget=1e-9)
     assert (window.rungs[:4] != Rung.PLANNED).all()
     assert np.isfinite(window.size[window.rungs == Rung.ANYTIME]).all()
+
+
+def test_programs_solved_a_few_at_a_time_are_the_same(window):
+    found = compute(TASK, NOMINAL, range(4, 8), budget=1e3)
+    assert found.laws.coefficients == pytest.approx(window.laws.coefficients, rel=1e-9)
+    assert found.rungs.tolist() == window.rungs.tolist()
+    assert found.size == pytest.approx(window.size, rel=1e-9)
 
 
 def slower(share):

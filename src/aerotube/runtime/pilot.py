@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 #: Share of a beat after which a measurement that has not come is done without.
 WAIT = 0.15
+_SOLVING = 0.85  # share of the time until a window is needed that its laws' design may take
 _HEARTBEAT = 10  # beats between heartbeats
 _REHEARSAL = 1.2e-3  # s before a measurement is expected
 _ALERT = 7e-4  # s either side of that for which it is waited for without sleeping: waking up would take as long
@@ -316,14 +317,8 @@ class Pilot:
         lead = np.inf
         if self.clocked and self._asked:
             lead = self._windows[self._asked - 1][1] * self.length
-        programs = len(self.task.settings.parts) * count / (self.task.reuse + 1)
-        work = partial(
-            self._compute,
-            nominal,
-            start,
-            count,
-            max(lead * self.task.workers / (1.5 * programs), 1e-3) if np.isfinite(lead) else None,
-        )
+        budget = max(_SOLVING * lead, 1e-3) if np.isfinite(lead) else None
+        work = partial(self._compute, nominal, start, count, budget)
         job = Job(
             start,
             self.faults.wrap(work, start) if self.faults is not None and self._asked else work,
@@ -332,14 +327,14 @@ class Pilot:
         self._asked += 1
         self.workers.submit(job)
 
-    def _compute(self, nominal: Nominal, start: int, count: int, deadline: float | None) -> Window | None:
+    def _compute(self, nominal: Nominal, start: int, count: int, budget: float | None) -> Window | None:
         """Laws of what is left of a window when its turn comes; None if nothing is."""
         first = start % self.horizon
         begin = first + max(0, self._now + 1 - start) if self.clocked and start else first
         if begin >= first + count:
             return None
         beats = range(begin, first + count)
-        return compute(self.task, nominal, beats, before=self._memory.get(begin), deadline=deadline)
+        return compute(self.task, nominal, beats, before=self._memory.get(begin), budget=budget)
 
     def _collect(self, timeout: float, wanted: int | None = None) -> bool:
         """Take in finished windows; with a wanted beat, wait for the one that holds it."""

@@ -22,7 +22,7 @@ same laws.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -44,6 +44,8 @@ from aerotube.tube import DisturbanceBox, tracking_weights
 
 Array = NDArray[np.float64]
 
+_LONG = 0.1  # s a program may take from which on they are solved a few at a time
+_GRANTED = 1.5  # equal shares of the time that is left that they may take: what easy ones leave, hard ones use
 _SMALL = 0.05  # share of the initial ellipsoids over which slopes are taken
 
 
@@ -149,7 +151,7 @@ def compute(
     beats: range,
     *,
     before: Window | None = None,
-    deadline: float | None = None,
+    budget: float | None = None,
 ) -> Window:
     """Compute the laws of a window.
 
@@ -162,8 +164,8 @@ def compute(
         The window.
     before : Window, optional
         Of the same beats of the manoeuvre before, for event-triggered recomputation.
-    deadline : float, optional
-        Seconds that the solver has for each program.
+    budget : float, optional
+        Seconds for the design of the laws; a program that is not done with its share of them is stopped.
 
     Returns
     -------
@@ -193,7 +195,7 @@ def compute(
     fresh = np.flatnonzero(~kept)
     made = None
     if len(fresh):
-        made = _design(task, cut, own[fresh], deadline)
+        made = _design(task, cut, own[fresh], budget)
         seconds["design"] = time.perf_counter() - clock
         clock = time.perf_counter()
     laws = _assemble(task, cut, own, behind, fresh, kept, sized, made, before)
@@ -231,15 +233,59 @@ def still_valid(
     return np.asarray(certified & tolerated & inside), sized
 
 
-def _design(task: Task, nominal: Nominal, beats: NDArray[np.intp], deadline: float | None) -> Design:
-    return design(
-        task.aircraft,
-        nominal,
-        task.disturbance,
-        task.settings,
-        beats=beats,
-        workers=task.workers,
-        deadline=deadline,
+def _design(task: Task, nominal: Nominal, beats: NDArray[np.intp], budget: float | None) -> Design:
+    """Design the laws of some beats in so many seconds.
+
+    Programs that take long are solved a few at a time, as many as there are threads: what an easy one leaves of its
+    time is there for a hard one.
+    """
+
+    def some(own: NDArray[np.intp], deadline: float | None) -> Design:
+        return design(
+            task.aircraft,
+            nominal,
+            task.disturbance,
+            task.settings,
+            beats=own,
+            workers=task.workers,
+            deadline=deadline,
+        )
+
+    if budget is None:
+        return some(beats, None)
+    laws = beats // (task.reuse + 1)
+    every, parts = np.unique(laws), len(task.settings.parts)
+    share = budget * task.workers / (len(every) * parts)
+    if share < _LONG:
+        return some(beats, max(share, 1e-6))
+    until, found = time.perf_counter() + budget, []
+    turns = np.array_split(every, -(-len(every) // max(task.workers // parts, 1)))
+    for done, turn in enumerate(turns):
+        left, rest = until - time.perf_counter(), len(turns) - done
+        found.append(some(beats[np.isin(laws, turn)], max(left * min(_GRANTED / rest, 1.0), 1e-6)))
+    return _joined(found)
+
+
+def _joined(designs: list[Design]) -> Design:
+    """One design of several of the same nominal, whose beats follow one another."""
+    first = designs[0]
+
+    def along(name: str) -> Array:
+        return np.concatenate([getattr(one, name) for one in designs])
+
+    law: Any = first.law
+    held = "coefficients" if hasattr(law, "coefficients") else "gains"
+    return replace(
+        first,
+        law=replace(law, **{held: np.sum([getattr(one.law, held) for one in designs], axis=0)}),
+        beats=along("beats").astype(np.intp),
+        metric=tuple(np.concatenate(own) for own in zip(*(one.metric for one in designs), strict=True)),
+        feasible=along("feasible").astype(bool),
+        stopped=along("stopped").astype(bool),
+        messages=[message for one in designs for message in one.messages],
+        bound=along("bound"),
+        step_seconds=along("step_seconds"),
+        terminal=None,
     )
 
 
