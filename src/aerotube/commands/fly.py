@@ -167,6 +167,8 @@ def _print(summary: dict[str, Any], out: Path) -> None:
         f"{summary['missed_unexplained']} of them not explained by the machine",
         "fallbacks: " + (", ".join(f"{count} {name}" for name, count in fallbacks.items()) or "none"),
     ]
+    kinds = [f"{count} {name}" for name, count in summary["certificates"].items() if count]
+    words.append("certificates of the beats' laws: " + (", ".join(kinds) or "none"))
     for key, name in (("mae", "mean absolute error"), ("rmse", "root mean square error")):
         none, compensated = summary[key]["none"], summary[key]["compensated"]
         if none and compensated is not None:

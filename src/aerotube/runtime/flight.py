@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from aerotube import flight
+from aerotube.compensation import SynthesisSettings
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.errors import ComputationError, InputError
 from aerotube.preparation import Prepared, drawn_parameters, estimated_parameters
@@ -239,6 +240,7 @@ def fly(
         workers.close()
         truth = _home(process, report, session) if own else None
         thefts = watchdog.stop() if watchdog is not None else np.empty((0, 3))
+        pilot.record.events += [(time.monotonic(), words) for words in (watchdog.troubles if watchdog else [])]
         home.close()
     alone = None if truth is None or not truth.flown_manoeuvres else fly_alone(world, truth, pilot.record)
     return Flown(
@@ -282,14 +284,18 @@ def make_world(prepared: Prepared, options: Options) -> World:
     )
 
 
-def make_task(prepared: Prepared, options: Options) -> Task:
-    """What every window is computed from; the noisy setting of the synthesis where the law sees noise."""
+def flown_settings(prepared: Prepared, options: Options) -> SynthesisSettings:
+    """The settings of the laws: the noisy ones where the law sees noise."""
     noisy = _noise(prepared, options) > 0 and not options.estimator
-    settings = replace(prepared.settings["noise" if noisy else "noise_free"], reuse=options.reuse)
+    return replace(prepared.settings["noise" if noisy else "noise_free"], reuse=options.reuse)
+
+
+def make_task(prepared: Prepared, options: Options) -> Task:
+    """What every window is computed from."""
     return Task(
         aircraft=prepared.model,
         disturbance=prepared.disturbance,
-        settings=settings,
+        settings=flown_settings(prepared, options),
         window=options.window,
         around=max(1, round(options.around / prepared.nominal.dt)),
         tolerance=options.tolerance,

@@ -20,7 +20,16 @@ from aerotube.preparation import prepare
 from aerotube.results import provenance, whole_file
 from aerotube.results.record import CONTROL_UNITS, CONTROLS, STATE_UNITS, STATES
 from aerotube.runtime.commander import Beat, Source
-from aerotube.runtime.flight import Flown, Options, make_commander, make_estimator, make_task, make_world, nominal_of
+from aerotube.runtime.flight import (
+    Flown,
+    Options,
+    flown_settings,
+    make_commander,
+    make_estimator,
+    make_task,
+    make_world,
+    nominal_of,
+)
 from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Rung
 from aerotube.runtime.outcome import deadlines, errors_flown, summarise
@@ -51,6 +60,7 @@ def to_dataset(flown: Flown) -> xr.Dataset:
     import xarray as xr
 
     record, count = flown.record, flown.record.flown
+    settings = flown_settings(flown.prepared, flown.options)
     missed = deadlines(flown)
     start = float(record.due[0]) if count and np.isfinite(record.due[0]) else 0.0
     names = (*flown.world.aircraft.state_names, *["-"] * 16)[:16]
@@ -73,6 +83,8 @@ def to_dataset(flown: Flown) -> xr.Dataset:
             "refused": json.dumps(dict(record.refused)),
             "injected": json.dumps({} if flown.faults is None else dict(flown.faults.injected)),
             "events": json.dumps([[round(when - start, 6), words] for when, words in record.events]),
+            "measurement_error": settings.measurement_error,
+            "certified_gust": settings.gust,
             "warm_up_seconds": flown.warm_up,
             "first_window_seconds": flown.first_window,
             "beat_seconds": flown.world.dt,

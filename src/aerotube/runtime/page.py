@@ -30,6 +30,14 @@ _KINDS = {
     "no_state": "had neither: the nominal control alone",
     "no_command": "were passed over: their measurement was lost and their moment gone",
 }
+_CERTIFICATES = {
+    "rigorous": "a rigorous certificate: the aircraft's map over the whole set does not exceed its tube",
+    "sampled": "a sampled certificate: the aircraft, flown from independent samples of the set and from where a search "
+    "took the worst of them, stays in its tube; with the confidence of the samples, all but a small share of the set",
+    "polynomial only": "a certificate for the polynomial through the closed loop at the programs' nodes only",
+    "solver's word": "the solver's word only",
+    "none": "none: an uncertified law, none at all, or no measurement of the beat's own",
+}
 
 
 def save(flown: Flown, folder: str | Path) -> dict[str, Any]:
@@ -93,6 +101,7 @@ def build(dataset: xr.Dataset, figures: dict[str, Path]) -> str:
         ("tracking", "States and controls", _tracking(figures)),
         ("limits", "What limits the tracking", _limits(dataset)),
         ("deadlines", "Deadlines", _deadlines(dataset, summary, figures)),
+        ("certificates", "What stands behind the laws", _certificates(dataset, summary)),
         ("fallbacks", "Fallbacks and faults", _fallbacks(dataset, summary)),
         ("recomputation", "Recomputation", _recomputation(dataset, options)),
         ("options", "Options", _table({name: str(value) for name, value in options.items()})),
@@ -170,6 +179,28 @@ def _deadlines(dataset: xr.Dataset, summary: dict[str, Any], figures: dict[str, 
         f"{float(dataset.attrs['warm_up_seconds']):.1f} s and the first window "
         f"computed in {float(dataset.attrs['first_window_seconds']):.2f} s, both before take-off.</p>"
         + picture(figures["fig15_timeline"], "Windows, beats and latency (counterpart of the paper's Fig. 15).")
+    )
+
+
+def _certificates(dataset: xr.Dataset, summary: dict[str, Any]) -> str:
+    counts = {kind: count for kind, count in summary["certificates"].items() if count}
+    rows = "".join(
+        f'<tr><td class="n">{count}</td><td>{escape(_CERTIFICATES[kind])}</td></tr>' for kind, count in counts.items()
+    )
+    error = float(dataset.attrs["measurement_error"])
+    heard = (
+        f"errors of the measurement up to {100 * error:g} % of the disturbance box"
+        if error
+        else "laws that are given the error itself: of what an estimator errs by, nothing is said"
+    )
+    gust = float(dataset.attrs["certified_gust"])
+    gusts = f"gusts up to {gust:g} m/s" if gust else "still air"
+    return (
+        "<p>Every law was measured on the nominal it was to fly, before it flew: the largest error at the end of the "
+        "beat, in the law's metric, over the whole disturbance set. A beat counts for the part that has the least. The "
+        f"tubes allow for {heard}; for {gusts}; not for delays and actuators; and they say nothing of a beat that starts "
+        "outside the set.</p>"
+        f'<div class="scroll"><table><tr><th class="n">beats</th><th>whose law has</th></tr>{rows}</table></div>'
     )
 
 
