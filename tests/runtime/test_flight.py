@@ -130,7 +130,12 @@ def test_laws_of_any_form_fly_as_they_are_simulated_and_replayed(chosen, tmp_pat
     assert found["command"] == 0.0
 
 
-def test_faults_are_survived_logged_and_never_leave_the_limits(prepared):
+@pytest.mark.parametrize(
+    "chosen", [{}, {"saturation": 4}, {"law_degree": 2}], ids=["linear", "saturating", "quadratic"]
+)
+def test_faults_are_survived_logged_and_never_leave_the_limits(chosen):
+    overrides = {f"synthesis.{key}": value for key, value in chosen.items()}
+    prepared = prepare(load(None, {"nominal.horizon": "0.6 s", **overrides}))
     options = replace(CALM, speed=12.0, duration=36.0, faults=300, deviation="box", noise=0.0, seed=3)
     flown = fly(prepared, options)
     record, faults = flown.record, flown.faults

@@ -198,8 +198,8 @@ def _certificates(dataset: xr.Dataset, summary: dict[str, Any]) -> str:
     return (
         "<p>Every law was measured on the nominal it was to fly, before it flew: the largest error at the end of the "
         "beat, in the law's metric, over the whole disturbance set. A beat counts for the part that has the least. The "
-        f"tubes allow for {heard}; for {gusts}; not for delays and actuators; and they say nothing of a beat that starts "
-        "outside the set.</p>"
+        f"tubes allow for {heard}; for {gusts}; not for delays and actuators; and they say nothing of a beat that "
+        "starts outside the set.</p>"
         f'<div class="scroll"><table><tr><th class="n">beats</th><th>whose law has</th></tr>{rows}</table></div>'
     )
 
