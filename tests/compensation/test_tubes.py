@@ -22,8 +22,9 @@ from aerotube.compensation import (
 )
 from aerotube.compensation import design as designed
 from aerotube.compensation.covers import sum_around
-from aerotube.compensation.sampled import FACTOR, Sampling, draw, support
+from aerotube.compensation.sampled import FACTOR
 from aerotube.compensation.sets import initial_ellipsoid
+from aerotube.compensation.worst_points import Sampling, draw, support
 from aerotube.dynamics import ErrorCoordinates, beat_set, flown_map
 from aerotube.nominal import constant_controls
 from aerotube.tube import DisturbanceBox

@@ -10,7 +10,7 @@ from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Rung
 from aerotube.runtime.pilot import Chosen, Pilot
 from aerotube.runtime.session import Session
-from aerotube.runtime.windows import Task
+from aerotube.runtime.task import Task
 from aerotube.runtime.workers import Workers
 from tests.runtime.test_windows import SETTINGS
 from tests.samples import BOX, HALF_WIDTHS, aircraft, table2

@@ -8,10 +8,13 @@ import pytest
 from aerotube.compensation import KINDS, SynthesisSettings, design, flown_size, measure
 from aerotube.dynamics import ErrorCoordinates
 from aerotube.nominal import constant_controls
+from aerotube.runtime import task as tasks
 from aerotube.runtime import windows
 from aerotube.runtime.law import Form
 from aerotube.runtime.messages import Rung
-from aerotube.runtime.windows import Task, compute
+from aerotube.runtime.sizes import Sized
+from aerotube.runtime.task import Task
+from aerotube.runtime.windows import compute
 from tests.samples import BOX, aircraft, table2
 
 NOMINAL = table2(12)
@@ -92,7 +95,7 @@ class Failing:
 
 def test_the_ladder_in_its_order(monkeypatch):
     """Stopped at the deadline; then nothing at all; and nothing from the start."""
-    monkeypatch.setattr(windows, "design", Failing([(1, 0, "stopped"), (2, 0, "infeasible"), (0, 1, "infeasible")]))
+    monkeypatch.setattr(tasks, "design", Failing([(1, 0, "stopped"), (2, 0, "infeasible"), (0, 1, "infeasible")]))
     window = compute(TASK, NOMINAL, range(4, 8))
     assert window.rungs[:4, 0].tolist() == [Rung.PLANNED, Rung.ANYTIME, Rung.LAST, Rung.PLANNED]
     assert window.laws.coefficients[2, :2] == pytest.approx(window.laws.coefficients[1, :2])
@@ -105,7 +108,7 @@ def test_the_ladder_in_its_order(monkeypatch):
 
 def test_a_law_that_is_worse_than_none_is_not_held(monkeypatch):
     """A law turned about pushes errors on: certified for what it is, and flown where it was made, but not held."""
-    monkeypatch.setattr(windows, "design", Failing([(1, 0, "reversed"), (2, 0, "infeasible")]))
+    monkeypatch.setattr(tasks, "design", Failing([(1, 0, "reversed"), (2, 0, "infeasible")]))
     window = compute(TASK, NOMINAL, range(4, 8))
     assert window.rungs[:4, 0].tolist() == [Rung.PLANNED, Rung.PLANNED, Rung.LQR, Rung.PLANNED]
     assert np.isfinite(window.size[1, 0])
@@ -114,9 +117,9 @@ def test_a_law_that_is_worse_than_none_is_not_held(monkeypatch):
 def test_what_is_not_certified_is_not_flown(monkeypatch):
     def sizes(task, nominal, beats, laws, metric):
         shape = len(beats), len(task.settings.parts)
-        return windows._Sized(np.full(shape, np.nan), np.full(shape, -1))
+        return Sized(np.full(shape, np.nan), np.full(shape, -1))
 
-    monkeypatch.setattr(windows, "_sizes", sizes)
+    monkeypatch.setattr(windows, "sizes", sizes)
     window = compute(TASK, NOMINAL, range(4, 8))
     assert (window.rungs >= Rung.LQR).all()
     assert (window.kinds == -1).all()

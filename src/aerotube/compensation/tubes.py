@@ -15,9 +15,9 @@ from aerotube.compensation.bounds import NONE, SHARES, Beyond, Bound
 from aerotube.compensation.certify import Work, rigorous_bounds, sampled_bounds, sampled_sizes
 from aerotube.compensation.closed_loop import BatchLaw, end_errors
 from aerotube.compensation.polynomial import deficit, enough, least_volume, size
-from aerotube.compensation.sampled import Sampling
 from aerotube.compensation.sets import InitialEllipsoid, initial_ellipsoid
 from aerotube.compensation.settings import Part, SynthesisSettings
+from aerotube.compensation.worst_points import Sampling
 from aerotube.dynamics import ErrorCoordinates
 from aerotube.nominal import Nominal
 from aerotube.tube import DisturbanceSet

@@ -32,8 +32,9 @@ from aerotube.runtime.pilot import Pilot
 from aerotube.runtime.plant import Actuators, Truth, World
 from aerotube.runtime.record import Record
 from aerotube.runtime.session import Session
+from aerotube.runtime.task import Task
 from aerotube.runtime.watchdog import Watchdog
-from aerotube.runtime.windows import Task, compute
+from aerotube.runtime.windows import compute
 from aerotube.runtime.workers import Workers
 
 Array = NDArray[np.float64]

@@ -18,7 +18,8 @@ from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Kind, Message, Rung, decode
 from aerotube.runtime.record import Record, WindowTimes
 from aerotube.runtime.session import Session
-from aerotube.runtime.windows import Task, Window, compute
+from aerotube.runtime.task import Task
+from aerotube.runtime.windows import Window, compute
 from aerotube.runtime.workers import Job, Workers
 
 Array = NDArray[np.float64]

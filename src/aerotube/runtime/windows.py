@@ -22,79 +22,22 @@ same laws.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerotube.aircraft.base import Aircraft
-from aerotube.compensation import KINDS, Design, SynthesisSettings, design, flown_size
-from aerotube.compensation.bounds import Beyond, whole_set
-from aerotube.compensation.design import available_increments
-from aerotube.compensation.groundwork import groundwork
-from aerotube.dynamics import flown_map
-from aerotube.dynamics.errors import ErrorCoordinates
+from aerotube.compensation import KINDS, Design
 from aerotube.flight.lqr import time_varying_lqr
 from aerotube.nominal import Nominal
-from aerotube.runtime.law import Form, Laws
+from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Rung
-from aerotube.tube import DisturbanceBox, tracking_weights
+from aerotube.runtime.sizes import Sized, sizes, useful, whole, within_limits
+from aerotube.runtime.task import Task, design_in
+from aerotube.tube import tracking_weights
 
 Array = NDArray[np.float64]
-
-_LONG = 0.1  # s a program may take from which on they are solved a few at a time
-_GRANTED = 1.5  # equal shares of the time that is left that they may take: what easy ones leave, hard ones use
-_SMALL = 0.05  # share of the initial ellipsoids over which slopes are taken
-
-
-@dataclass(frozen=True)
-class Task:
-    """What every window is computed from.
-
-    Attributes
-    ----------
-    aircraft : Aircraft
-        The model that laws are computed on.
-    disturbance : DisturbanceBox
-    settings : SynthesisSettings
-    window : int
-        Beats of a window.
-    around : int
-        Beats before and after the window that the forecast of errors and costs looks at; the numbers are those of
-        the whole manoeuvre where it is no longer than that.
-    validity : int
-        Beats after a window for which its last law is measured, in case the next window is late.
-    tolerance : float or None
-        Event-triggered: largest growth of a kept law's certified size, as a share of it. None: all is designed.
-    workers : int
-        Threads that solve.
-    """
-
-    aircraft: Aircraft
-    disturbance: DisturbanceBox
-    settings: SynthesisSettings
-    window: int = 16
-    around: int = 60
-    validity: int = 3
-    tolerance: float | None = None
-    workers: int = 2
-
-    @property
-    def reuse(self) -> int:
-        """Beats that a law serves beyond its own."""
-        return self.settings.reuse
-
-    @property
-    def coordinates(self) -> ErrorCoordinates:
-        """In which the laws are given the error."""
-        return ErrorCoordinates(self.settings.attitude)
-
-    @cached_property
-    def form(self) -> Form:
-        """Of the laws."""
-        return Form.of(self.settings)
 
 
 @dataclass(frozen=True)
@@ -184,7 +127,7 @@ def compute(
     own = np.arange(beats.start, beats.stop) - first
     behind = np.arange(beats.stop, min(beats.stop + task.validity, nominal.beats)) - first
     clock = time.perf_counter()
-    kept, sized = np.zeros(len(own), bool), _Sized(np.empty((0, 0)), np.empty((0, 0), dtype=np.int64))
+    kept, sized = np.zeros(len(own), bool), Sized(np.empty((0, 0)), np.empty((0, 0), dtype=np.int64))
     if task.tolerance is not None and before is not None and len(before.rungs) >= len(own):
         kept, sized = still_valid(task, cut, own, before)
         seconds["check"] = time.perf_counter() - clock
@@ -195,7 +138,7 @@ def compute(
     fresh = np.flatnonzero(~kept)
     made = None
     if len(fresh):
-        made = _design(task, cut, own[fresh], budget)
+        made = design_in(task, cut, own[fresh], budget)
         seconds["design"] = time.perf_counter() - clock
         clock = time.perf_counter()
     laws = _assemble(task, cut, own, behind, fresh, kept, sized, made, before)
@@ -212,81 +155,25 @@ def compute(
 
 def still_valid(
     task: Task, nominal: Nominal, beats: NDArray[np.intp], before: Window
-) -> tuple[NDArray[np.bool_], _Sized]:
+) -> tuple[NDArray[np.bool_], Sized]:
     """Where the laws of the manoeuvre before hold on a new nominal, by the rule of the module's text.
 
     Returns
     -------
     holds : ndarray (b,) of bool
-    sized : _Sized
+    sized : Sized
         Of b beats; NaN where it was not worth asking.
     """
     assert task.tolerance is not None
     count, parts = len(beats), len(task.settings.parts)
     certified = np.asarray(np.isfinite(before.made[:count]).all(1) & (before.rungs[:count] <= Rung.LAST).all(1))
     if not certified.any():
-        return certified, _Sized(np.full((count, parts), np.nan), np.full((count, parts), -1))
-    laws = _whole(task, nominal, beats, before.laws[:count])
-    sized = _sizes(task, nominal, beats, laws, tuple(shape[:count] for shape in before.metric))
+        return certified, Sized(np.full((count, parts), np.nan), np.full((count, parts), -1))
+    laws = whole(task, nominal, beats, before.laws[:count])
+    sized = sizes(task, nominal, beats, laws, tuple(shape[:count] for shape in before.metric))
     tolerated = (sized.size <= (1.0 + task.tolerance) * before.made[:count]).all(1)
-    inside = _within_limits(task, nominal, beats, laws).all(1)
+    inside = within_limits(task, nominal, beats, laws).all(1)
     return np.asarray(certified & tolerated & inside), sized
-
-
-def _design(task: Task, nominal: Nominal, beats: NDArray[np.intp], budget: float | None) -> Design:
-    """Design the laws of some beats in so many seconds.
-
-    Programs that take long are solved a few at a time, as many as there are threads: what an easy one leaves of its
-    time is there for a hard one.
-    """
-
-    def some(own: NDArray[np.intp], deadline: float | None) -> Design:
-        return design(
-            task.aircraft,
-            nominal,
-            task.disturbance,
-            task.settings,
-            beats=own,
-            workers=task.workers,
-            deadline=deadline,
-        )
-
-    if budget is None:
-        return some(beats, None)
-    laws = beats // (task.reuse + 1)
-    every, parts = np.unique(laws), len(task.settings.parts)
-    share = budget * task.workers / (len(every) * parts)
-    if share < _LONG:
-        return some(beats, max(share, 1e-6))
-    until, found = time.perf_counter() + budget, []
-    turns = np.array_split(every, -(-len(every) // max(task.workers // parts, 1)))
-    for done, turn in enumerate(turns):
-        left, rest = until - time.perf_counter(), len(turns) - done
-        found.append(some(beats[np.isin(laws, turn)], max(left * min(_GRANTED / rest, 1.0), 1e-6)))
-    return _joined(found)
-
-
-def _joined(designs: list[Design]) -> Design:
-    """One design of several of the same nominal, whose beats follow one another."""
-    first = designs[0]
-
-    def along(name: str) -> Array:
-        return np.concatenate([getattr(one, name) for one in designs])
-
-    law: Any = first.law
-    held = "coefficients" if hasattr(law, "coefficients") else "gains"
-    return replace(
-        first,
-        law=replace(law, **{held: np.sum([getattr(one.law, held) for one in designs], axis=0)}),
-        beats=along("beats").astype(np.intp),
-        metric=tuple(np.concatenate(own) for own in zip(*(one.metric for one in designs), strict=True)),
-        feasible=along("feasible").astype(bool),
-        stopped=along("stopped").astype(bool),
-        messages=[message for one in designs for message in one.messages],
-        bound=along("bound"),
-        step_seconds=along("step_seconds"),
-        terminal=None,
-    )
 
 
 def _assemble(
@@ -296,14 +183,14 @@ def _assemble(
     behind: NDArray[np.intp],
     fresh: NDArray[np.intp],
     kept: NDArray[np.bool_],
-    sized: _Sized,
+    sized: Sized,
     made: Design | None,
     before: Window | None,
 ) -> dict[str, Any]:
     """Laws of all beats, each measured, and completed by the regulator where nothing is certified."""
     parts, beats = task.settings.parts, np.concatenate([own, behind])
     count = len(beats)
-    laws = _whole(task, nominal, own[kept], None if before is None else before.laws[np.flatnonzero(kept)])
+    laws = whole(task, nominal, own[kept], None if before is None else before.laws[np.flatnonzero(kept)])
     rungs = np.full((count, len(parts)), int(Rung.LAST))
     origin = np.full((count, len(parts)), -1)
     if before is not None and kept.any():
@@ -319,7 +206,7 @@ def _assemble(
         size[kept], kinds[kept] = sized.size[kept[: len(own)]], sized.kinds[kept[: len(own)]]
     new = np.flatnonzero(~kept)
     if len(new):
-        found = _sizes(task, nominal, beats[new], laws, tuple(shape[new] for shape in metric))
+        found = sizes(task, nominal, beats[new], laws, tuple(shape[new] for shape in metric))
         size[new], kinds[new] = found.size, found.kinds
     first_size = size.copy()
     if before is not None and kept.any():
@@ -332,9 +219,9 @@ def _assemble(
     certified = np.isfinite(size) & (origin >= 0)
     held = np.flatnonzero((rungs == Rung.LAST).any(1))
     if len(held):
-        useful = _useful(task, nominal, beats[held], laws, tuple(shape[held] for shape in metric))
-        inside = _within_limits(task, nominal, beats[held], laws)
-        certified[held] &= (rungs[held] != Rung.LAST) | (useful & inside)
+        helps = useful(task, nominal, beats[held], laws, tuple(shape[held] for shape in metric))
+        inside = within_limits(task, nominal, beats[held], laws)
+        certified[held] &= (rungs[held] != Rung.LAST) | (helps & inside)
     for i, part in enumerate(parts):
         for j in np.flatnonzero(~certified[:, i]):
             rows = beats[j], part.controls
@@ -352,18 +239,6 @@ def _assemble(
         "kept": kept,
         "made": np.where(certified, first_size, np.nan),
     }
-
-
-def _whole(task: Task, nominal: Nominal, beats: NDArray[np.intp], some: Laws | None) -> Laws:
-    """Laws of all beats of the nominal: some given ones, zero elsewhere, with the room that the nominal leaves."""
-    out = Laws.none(task.form, nominal.beats)
-    if some is not None:
-        out.coefficients[beats], out.reach[beats] = some.coefficients, some.reach
-    if task.settings.saturation > 1.0:
-        ground = groundwork(task.aircraft, nominal, task.disturbance, task.settings)
-        for part, own in zip(task.settings.parts, ground.parts, strict=True):
-            out.room[:, part.controls] = np.stack([own.lower, own.upper], axis=-1)
-    return out
 
 
 def _take(
@@ -434,49 +309,6 @@ def _metric(
     return tuple(found)
 
 
-@dataclass(frozen=True)
-class _Sized:
-    """Certified sizes and what stands behind them, each (b, parts)."""
-
-    size: Array
-    kinds: NDArray[np.int64]
-
-
-def _sizes(
-    task: Task, nominal: Nominal, beats: NDArray[np.intp], laws: Laws | None, metric: tuple[Array, ...]
-) -> _Sized:
-    law = None if laws is None else laws.batch(task.form, task.coordinates)
-    size, names = flown_size(
-        task.aircraft, nominal, task.disturbance, law, metric, task.settings, beats=beats, workers=task.workers
-    )
-    kinds = np.full(names.shape, -1)
-    for number, kind in enumerate(KINDS):
-        kinds[names == kind] = number
-    return _Sized(size, kinds)
-
-
-def _useful(
-    task: Task, nominal: Nominal, beats: NDArray[np.intp], laws: Laws, metric: tuple[Array, ...]
-) -> NDArray[np.bool_]:
-    """Where laws leave errors no larger than the nominal alone, to first order and measured exactly: (b, parts)."""
-    parts = task.settings.parts
-    over = whole_set(task.aircraft, nominal.states[beats], task.disturbance, task.coordinates, parts, Beyond())
-    side = np.zeros((2, 8, sum(over.balls)))
-    side[0, :, :8] = _SMALL * np.eye(8)
-    side[1] = -side[0]
-    points = np.broadcast_to(side.reshape(16, -1), (len(beats), 16, side.shape[2]))
-    largest = []
-    for law in (laws.batch(task.form, task.coordinates), None):
-        ends = flown_map(task.aircraft, nominal, beats, task.coordinates, over, points, law)
-        slopes = (ends[:, :8] - ends[:, 8:]) / (2.0 * _SMALL)
-        own = [slopes[:, over.columns(part.name)][:, :, list(part.errors)] for part in parts]
-        sizes = [
-            np.linalg.eigvalsh(x @ form @ np.swapaxes(x, 1, 2))[:, -1] for x, form in zip(own, metric, strict=True)
-        ]
-        largest.append(np.stack(sizes, axis=1))
-    return np.asarray(largest[0] <= largest[1])
-
-
 def _told(task: Task, laws: dict[str, Any]) -> list[str]:
     """One sentence if certificates are less than was asked for."""
     asked = KINDS.index(task.settings.certificate)
@@ -486,22 +318,6 @@ def _told(task: Task, laws: dict[str, Any]) -> list[str]:
         return []
     found = ", ".join(f"{int((kinds[less] == number).sum())} {KINDS[number]}" for number in np.unique(kinds[less]))
     return [f"certificates are less than {KINDS[asked]!r}, which takes longer than a flight has or failed: {found}."]
-
-
-def _within_limits(task: Task, nominal: Nominal, beats: NDArray[np.intp], laws: Laws) -> NDArray[np.bool_]:
-    """Whether each part's law keeps its controls within their limits on the disturbance box: (b, parts)."""
-    settings, coordinates = task.settings, task.coordinates
-    if settings.saturation > 1.0:
-        return np.ones((len(beats), len(settings.parts)), bool)
-    seen = coordinates.box(nominal.states[beats], (1.0 + settings.measurement_error) * task.disturbance.half_widths)
-    lower, upper = available_increments(
-        task.aircraft, nominal.states[beats], nominal.controls[beats], coordinates, seen
-    )
-    limit = np.minimum(-lower, upper)
-    # no monomial is larger on the box than at its corner
-    largest = np.prod(seen[:, None] ** task.form.exponents, axis=2)
-    inside = np.sum(np.abs(laws.coefficients[beats]) * largest[:, None, :], axis=-1) <= (1.0 + 1e-6) * limit + 1e-12
-    return np.stack([inside[:, part.controls].all(1) for part in settings.parts], axis=1)
 
 
 def _padded(gains: Array, first: int, beats: int) -> Array:
