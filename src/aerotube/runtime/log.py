@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube import scenario
-from aerotube.compensation import KINDS
+from aerotube.compensation import KINDS, Sampling
 from aerotube.dynamics.errors import euler_error
 from aerotube.errors import InputError
 from aerotube.flight.metrics import error_metric, mean_absolute_error, root_mean_square_error
@@ -83,8 +83,15 @@ def to_dataset(flown: Flown) -> xr.Dataset:
             "refused": json.dumps(dict(record.refused)),
             "injected": json.dumps({} if flown.faults is None else dict(flown.faults.injected)),
             "events": json.dumps([[round(when - start, 6), words] for when, words in record.events]),
-            "measurement_error": settings.measurement_error,
-            "certified_gust": settings.gust,
+            "certified": json.dumps(
+                {
+                    "measurement_error": settings.measurement_error,
+                    "gust": settings.gust,
+                    "samples": settings.samples,
+                    "confidence": settings.confidence,
+                    "share": Sampling(settings.samples, settings.confidence, settings.sample_seed).share,
+                }
+            ),
             "warm_up_seconds": flown.warm_up,
             "first_window_seconds": flown.first_window,
             "beat_seconds": flown.world.dt,

@@ -32,8 +32,7 @@ _KINDS = {
 }
 _CERTIFICATES = {
     "rigorous": "a rigorous certificate: the aircraft's map over the whole set does not exceed its tube",
-    "sampled": "a sampled certificate: the aircraft, flown from independent samples of the set and from where a search "
-    "took the worst of them, stays in its tube; with the confidence of the samples, all but a small share of the set",
+    "sampled": "a sampled certificate: independent samples of the set, flown, and a search from the worst of them",
     "polynomial only": "a certificate for the polynomial through the closed loop at the programs' nodes only",
     "solver's word": "the solver's word only",
     "none": "none: an uncertified law, none at all, or no measurement of the beat's own",
@@ -187,19 +186,21 @@ def _certificates(dataset: xr.Dataset, summary: dict[str, Any]) -> str:
     rows = "".join(
         f'<tr><td class="n">{count}</td><td>{escape(_CERTIFICATES[kind])}</td></tr>' for kind, count in counts.items()
     )
-    error = float(dataset.attrs["measurement_error"])
+    stated = json.loads(str(dataset.attrs["certified"]))
+    error, gust = stated["measurement_error"], stated["gust"]
     heard = (
-        f"errors of the measurement up to {100 * error:g} % of the disturbance box"
+        f"with errors of the measurement up to {100 * error:g} % of the disturbance box"
         if error
-        else "laws that are given the error itself: of what an estimator errs by, nothing is said"
+        else "given the error exactly: how far an estimator is off, the tubes do not know"
     )
-    gust = float(dataset.attrs["certified_gust"])
-    gusts = f"gusts up to {gust:g} m/s" if gust else "still air"
+    air = f"in gusts up to {gust:g} m/s" if gust else "in still air"
     return (
         "<p>Every law was measured on the nominal it was to fly, before it flew: the largest error at the end of the "
-        "beat, in the law's metric, over the whole disturbance set. A beat counts for the part that has the least. The "
-        f"tubes allow for {heard}; for {gusts}; not for delays and actuators; and they say nothing of a beat that "
-        "starts outside the set.</p>"
+        f"beat, in the law's metric, over the whole disturbance set, {air}, {heard}. Tubes know no delays and no "
+        "actuators, and say nothing of a beat that starts outside the set. A beat counts for the part that has the "
+        "least. Samples: "
+        f"{stated['samples']} for each beat, so that the tube is exceeded on no more than {100 * stated['share']:.1f} % "
+        f"of the set, with a confidence of {100 * stated['confidence']:g} %.</p>"
         f'<div class="scroll"><table><tr><th class="n">beats</th><th>whose law has</th></tr>{rows}</table></div>'
     )
 
