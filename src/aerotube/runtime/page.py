@@ -199,8 +199,8 @@ def _certificates(dataset: xr.Dataset, summary: dict[str, Any]) -> str:
         f"beat, in the law's metric, over the whole disturbance set, {air}, {heard}. Tubes know no delays and no "
         "actuators, and say nothing of a beat that starts outside the set. A beat counts for the part that has the "
         "least. Samples: "
-        f"{stated['samples']} for each beat, so that the tube is exceeded on no more than {100 * stated['share']:.1f} % "
-        f"of the set, with a confidence of {100 * stated['confidence']:g} %.</p>"
+        f"{stated['samples']} for each beat, so that the tube is exceeded on no more than "
+        f"{100 * stated['share']:.1f} % of the set, with a confidence of {100 * stated['confidence']:g} %.</p>"
         f'<div class="scroll"><table><tr><th class="n">beats</th><th>whose law has</th></tr>{rows}</table></div>'
     )
 

@@ -253,6 +253,8 @@ class Pilot:
         if not self.clocked or not np.isfinite(self._offset) or left < 0 or beat % self.horizon == 0:
             return
         time.sleep(left)
+        if beat not in self._planned:
+            self._collect(0.0)
         chosen, _ = self._best(beat)
         message = Message(Kind.MEASUREMENT, 0, 0, values=tuple(np.zeros(16).tolist())).encode()
         np.array(decode(message).values[:13])
