@@ -75,3 +75,16 @@ def test_compiled_realise_is_realise(options):
     assert np.clip(found, aircraft.control_lower, aircraft.control_upper) == pytest.approx(
         expected, rel=1e-12, abs=1e-12
     )
+
+
+def test_other_equations_are_not_flown_by_compiled_ones():
+    class Heavier(F16):
+        def rates(self, state, control, parameters=None, wind=None):
+            return super().rates(state, control, [0.9], wind)
+
+        def realise(self, state, control, increment):
+            return super().realise(state, control, 0.5 * np.asarray(increment))
+
+    assert Heavier().compiled_step() is None
+    assert Heavier().compiled_realise() is None
+    assert F16().compiled_step() is not None

@@ -379,8 +379,10 @@ class F16(Aircraft):
         """Power (percent) at which the lagging engine rests; nothing without engine lag."""
         return (power_from_throttle(control[1]),) if self.engine_lag else ()
 
-    def compiled_step(self) -> Step:
-        """A step compiled to machine code; see `Aircraft.compiled_step`."""
+    def compiled_step(self) -> Step | None:
+        """A step compiled to machine code, of this class's own equations; see `Aircraft.compiled_step`."""
+        if type(self).rates is not F16.rates:
+            return None
         states = len(self.state_names)
         if len(self.parameter_names) == 1:
             rates = lagging_step_rates if self.engine_lag else quick_step_rates
@@ -398,9 +400,11 @@ class F16(Aircraft):
 
         return step
 
-    def compiled_realise(self) -> Realise:
-        """`realise` compiled; see `Aircraft.compiled_realise`."""
-        return compiled_realise(realised_controls, self.airframe.thrust)
+    def compiled_realise(self) -> Realise | None:
+        """`realise` compiled, this class's own; see `Aircraft.compiled_realise`."""
+        return (
+            None if type(self).realise is not F16.realise else compiled_realise(realised_controls, self.airframe.thrust)
+        )
 
     def domain_values(self, state: Sequence[Any]) -> Components:
         """Attack and sideslip (deg), Mach number, altitude (m), and by how much military thrust exceeds idle (N)."""
