@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 
 from aerotube.aircraft.base import Aircraft
 from aerotube.compensation import Design, SynthesisSettings, design
+from aerotube.compensation.groundwork import groundwork
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.nominal import Nominal
 from aerotube.runtime.law import Form
@@ -19,7 +22,7 @@ from aerotube.tube import DisturbanceBox
 
 Array = NDArray[np.float64]
 
-_LONG = 0.1  # s a program may take from which on they are solved a few at a time
+_LONG = 0.1  # s a program may take from which on they are solved one by one
 _GRANTED = 1.5  # equal shares of the time that is left that they may take: what easy ones leave, hard ones use
 
 
@@ -74,34 +77,36 @@ class Task:
 def design_in(task: Task, nominal: Nominal, beats: NDArray[np.intp], budget: float | None) -> Design:
     """Design the laws of some beats in so many seconds; without a limit for None.
 
-    Programs that take long are solved a few at a time, as many as there are threads: what an easy one leaves of its
-    time is there for a hard one.
+    Programs that take long are solved one by one, in as many threads as there are: what an easy one leaves of its time
+    is there for a hard one.
     """
 
-    def some(own: NDArray[np.intp], deadline: float | None) -> Design:
+    def some(own: NDArray[np.intp], deadline: float | None, workers: int) -> Design:
         return design(
-            task.aircraft,
-            nominal,
-            task.disturbance,
-            task.settings,
-            beats=own,
-            workers=task.workers,
-            deadline=deadline,
+            task.aircraft, nominal, task.disturbance, task.settings, beats=own, workers=workers, deadline=deadline
         )
 
     if budget is None:
-        return some(beats, None)
+        return some(beats, None, task.workers)
+    until = time.perf_counter() + budget
     laws = beats // (task.reuse + 1)
     every, parts = np.unique(laws), len(task.settings.parts)
     share = budget * task.workers / (len(every) * parts)
     if share < _LONG:
-        return some(beats, max(share, 1e-6))
-    until, found = time.perf_counter() + budget, []
-    turns = np.array_split(every, -(-len(every) // max(task.workers // parts, 1)))
-    for done, turn in enumerate(turns):
-        left, rest = until - time.perf_counter(), len(turns) - done
-        found.append(some(beats[np.isin(laws, turn)], max(left * min(_GRANTED / rest, 1.0), 1e-6)))
-    return _joined(found)
+        return some(beats, max(share, 1e-6), task.workers)
+    groundwork(task.aircraft, nominal, task.disturbance, task.settings)  # once, and not in every thread
+    waiting, lock = len(every), threading.Lock()
+
+    def one(law: int) -> Design:
+        nonlocal waiting
+        with lock:
+            turns = -(-waiting // task.workers)
+            waiting -= 1
+        left = (until - time.perf_counter()) * min(_GRANTED / turns, 1.0)
+        return some(beats[laws == law], max(left / parts, 1e-6), 1)
+
+    with ThreadPoolExecutor(task.workers) as pool:
+        return _joined(list(pool.map(one, every.tolist())))
 
 
 def _joined(designs: list[Design]) -> Design:
