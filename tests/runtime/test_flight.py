@@ -163,6 +163,18 @@ def test_faults_are_survived_logged_and_never_leave_the_limits(chosen):
     assert record.refused["alien sender"] >= 0.5 * faults.injected["alien"]
 
 
+def test_what_is_kept_is_told(prepared, tmp_path):
+    """The same nominal again: every law of the second manoeuvre holds, and none is designed."""
+    flown = fly(prepared, replace(CALM, duration=1.2, tolerance=0.0))
+    save(flown, tmp_path)
+    dataset = log.read(tmp_path / "flight.nc")
+    assert dataset["window_kept"].values.tolist() == [0, 0, 6, 6]
+    assert dataset["window_designed"].values.tolist() == [12, 12, 0, 0]
+    assert (flown.record.kind == KINDS.index("sampled")).all()
+    assert "Kept: 12 of 24 beats (50 %)" in (tmp_path / "report.html").read_text()
+    assert log.replay(dataset)["command"] == 0.0
+
+
 def speak(kind, sequence, beat, values, token=42):
     """A datagram written by hand, as the interface's table says."""
     body = struct.pack(f"<4sBBHQIId{len(values)}d", b"AERO", 1, kind, 0, token, sequence, beat, 0.0, *values)
