@@ -20,6 +20,7 @@ from aerotube.preparation import prepare
 from aerotube.runtime import log
 from aerotube.runtime.commander import Source
 from aerotube.runtime.flight import Options, fly, make_estimator
+from aerotube.runtime.limits import what_limits
 from aerotube.runtime.messages import Rung
 from aerotube.runtime.outcome import deadlines, errors_flown, summarise
 from aerotube.runtime.page import save
@@ -161,6 +162,20 @@ def test_faults_are_survived_logged_and_never_leave_the_limits(chosen):
     alone = (record.rung == Rung.NOMINAL).all(axis=1) & reached
     assert record.command[alone] == pytest.approx(record.nominal_control[alone])
     assert record.refused["alien sender"] >= 0.5 * faults.injected["alien"]
+
+
+def test_what_limits_the_tracking_is_the_noise(undisturbed):
+    """Less noise is never worse, without an estimator; and what was flown is among the conditions."""
+    found = what_limits(undisturbed)
+    assert [limit.condition for limit in found[:2]] == [
+        "no sensor noise",
+        "sensor noise of 100 % of the disturbance box, no estimator",
+    ]
+    heard = [limit.mae for limit in found if "no estimator" in limit.condition]
+    assert len(heard) == 4
+    assert found[0].mae < heard[-1]
+    assert heard == sorted(heard, reverse=True)
+    assert found[1].mae == pytest.approx(summarise(undisturbed)["mae"]["compensated"], rel=1e-9)
 
 
 def test_what_is_kept_is_told(prepared, tmp_path):

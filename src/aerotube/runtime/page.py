@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from aerotube.runtime.flight import Flown
 
 _DOTS_PER_INCH = 100
+_BOLD = ' style="font-weight: bold"'
+_PAPERS = 1.0 - 0.25 / 1.21  # reduction of the mean absolute error
 _KINDS = {
     "anytime": "flew the any-time answer: the law as it stood at the solver's deadline, certified as it is",
     "last": "flew the law of an earlier beat or manoeuvre, certified for this one too",
@@ -150,7 +152,8 @@ def _tracking(figures: dict[str, Path]) -> str:
 def _limits(dataset: xr.Dataset) -> str:
     limits = json.loads(str(dataset.attrs.get("limits", "[]")))
     rows = "".join(
-        f"<tr><td>{escape(one['condition'])}</td>"
+        f"<tr{_BOLD if one['mae_reduction'] >= _PAPERS else ''}>"
+        f"<td>{escape(one['condition'])}</td>"
         f'<td class="n">{one["mae"]:.3f} (−{100 * one["mae_reduction"]:.0f} %)</td>'
         f'<td class="n">{one["rmse"]:.3f} (−{100 * one["rmse_reduction"]:.0f} %)</td></tr>'
         for one in limits
@@ -158,10 +161,10 @@ def _limits(dataset: xr.Dataset) -> str:
     if not rows:
         return ""
     return (
-        "<p>The same manoeuvres simulated without delay and actuators, with laws designed for each condition: what is "
-        "lost from the first line to the second is the sensors' noise fed back, and what the third wins back is the "
-        "estimator's. The paper's own runtime case on its own aircraft: MAE 1.21 to 0.25, RMSE 1.30 to 0.27 (−79 %), "
-        "its noise not given.</p>"
+        "<p>The same manoeuvres simulated without delay and actuators, with laws designed for each condition. What is "
+        "lost from the first line to those without an estimator is the sensors' noise fed back, and what an estimator "
+        "wins back the lines beneath them tell. The paper's own runtime case on its own aircraft: MAE 1.21 to 0.25, "
+        "RMSE 1.30 to 0.27 (−79 %), its noise not given; the lines that are as good are bold.</p>"
         '<div class="scroll"><table><tr><th>with compensation</th><th class="n">MAE</th><th class="n">RMSE</th></tr>'
         f"{rows}</table></div>"
     )
