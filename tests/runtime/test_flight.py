@@ -19,12 +19,14 @@ from aerotube.errors import InputError
 from aerotube.preparation import prepare
 from aerotube.runtime import log
 from aerotube.runtime.commander import Source
-from aerotube.runtime.flight import Options, fly, make_estimator
+from aerotube.runtime.flight import fly
 from aerotube.runtime.limits import what_limits
 from aerotube.runtime.messages import Rung
+from aerotube.runtime.options import Options, make_estimator
 from aerotube.runtime.outcome import deadlines, errors_flown, summarise
 from aerotube.runtime.page import save
 from aerotube.runtime.plant import Actuators, Plant
+from aerotube.runtime.replay import replay
 from aerotube.scenario import load
 
 CALM = Options(speed=np.inf, link="thread", window=6, workers=1)
@@ -95,7 +97,7 @@ def test_a_log_flies_again_to_the_same_numbers(prepared, tmp_path):
     flown = fly(prepared, options)
     summary = save(flown, tmp_path)
     dataset = log.read(tmp_path / "flight.nc")
-    found = log.replay(dataset)
+    found = replay(dataset)
     assert found["state"] == 0.0
     assert found["command"] == 0.0
     assert found["mae"] == summary["mae"]["compensated"]
@@ -106,7 +108,7 @@ def test_a_log_flies_again_to_the_same_numbers(prepared, tmp_path):
     assert "http://" not in page.replace("http://www.w3.org", "")
     other = dataset.copy(deep=True)
     other["measured"].values[3, 0] += 1e-3
-    assert log.replay(other)["command"] > 0.0
+    assert replay(other)["command"] > 0.0
 
 
 @pytest.mark.parametrize(
@@ -126,7 +128,7 @@ def test_laws_of_any_form_fly_as_they_are_simulated_and_replayed(chosen, tmp_pat
     assert (record.command <= flown.world.aircraft.control_upper).all()
     summary = save(flown, tmp_path)
     assert summary["certificates"] == {"sampled": 6, "none": 0}
-    found = log.replay(log.read(tmp_path / "flight.nc"))
+    found = replay(log.read(tmp_path / "flight.nc"))
     assert found["state"] == 0.0
     assert found["command"] == 0.0
 
@@ -187,7 +189,7 @@ def test_what_is_kept_is_told(prepared, tmp_path):
     assert dataset["window_designed"].values.tolist() == [12, 12, 0, 0]
     assert (flown.record.kind == KINDS.index("sampled")).all()
     assert "Kept: 12 of 24 beats (50 %)" in (tmp_path / "report.html").read_text()
-    assert log.replay(dataset)["command"] == 0.0
+    assert replay(dataset)["command"] == 0.0
 
 
 def speak(kind, sequence, beat, values, token=42):

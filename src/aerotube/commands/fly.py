@@ -75,8 +75,8 @@ def fly(
     if replay is not None:
         _replay(replay)
         return
-    from aerotube.runtime.flight import Options
     from aerotube.runtime.flight import fly as take_off
+    from aerotube.runtime.options import Options
     from aerotube.runtime.page import save
 
     kind: Any = deviation
@@ -140,10 +140,10 @@ def _shown(headless: bool) -> tuple[Any, Any]:
 
 
 def _replay(path: Path) -> None:
-    from aerotube.runtime import log
+    from aerotube.runtime import log, replay
 
     with interruptible():
-        found = log.replay(log.read(path))
+        found = replay.replay(log.read(path))
     same = all(found[key] in (0.0, None) for key in ("state", "command"))
     typer.echo(
         f"{path}: "

@@ -52,7 +52,7 @@ def what_limits(flown: Flown) -> tuple[Limit, ...]:
         Empty for a flight of somebody else's aircraft, or along a nominal that was moved in flight. Undelayed, without
         actuators, gusts as they were.
     """
-    from aerotube.runtime.flight import make_estimator, make_task
+    from aerotube.runtime.options import make_estimator, make_task
 
     world, prepared, options = flown.world, flown.prepared, flown.options
     if flown.truth is None or not flown.truth.flown_manoeuvres or options.replan:
