@@ -82,11 +82,15 @@ def test_the_summary_has_its_keys(undisturbed):
         "rmse",
         "latency_us",
         "realtime_factor",
+        "window_ms",
     ]
     assert summary["beats"] == 24
     for key in ("mae", "rmse"):
         assert 0 < summary[key]["compensated"] < summary[key]["none"]
     assert set(summary["latency_us"]) == {"median", "p99"}
+    spent = summary["window_ms"]
+    assert set(spent) == {"whole", "check", "design", "certify"}
+    assert spent["check"] == 0.0, "nothing was kept, so nothing was checked"
     assert json.loads(json.dumps(summary)) == summary
 
 

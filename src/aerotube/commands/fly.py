@@ -179,6 +179,10 @@ def _print(summary: dict[str, Any], out: Path) -> None:
         words.append(f"measurement to command: {span['median']:.0f} µs median, {span['p99']:.0f} µs 99th percentile")
     if summary["realtime_factor"] is not None:
         words.append(f"windows are computed {summary['realtime_factor']:.1f} times as fast as they are flown")
+    spent = summary["window_ms"]
+    if spent is not None:
+        parts = [f"{spent[name]:.0f} to {name}" for name in ("check", "design", "certify") if spent[name]]
+        words.append(f"a whole window takes {spent['whole']:.0f} ms (median): {', '.join(parts)}")
     for line in words:
         console.print(line, soft_wrap=True)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)

@@ -108,6 +108,16 @@ def realtime_factor(flown: Flown) -> float | None:
     return float(sum(w.computed for w in done) * flown.world.dt / taken)
 
 
+def window_times(flown: Flown) -> dict[str, float] | None:
+    """Median ms that a window of full length took, and of them on what; None without such windows."""
+    whole = [w for w in flown.record.windows if not w.error and w.computed == flown.options.window]
+    if not whole:
+        return None
+    spent = {name: [w.seconds.get(name, 0.0) for w in whole] for name in ("check", "design", "certify")}
+    every = {"whole": [w.done - w.started for w in whole], **spent}
+    return {name: 1e3 * float(np.median(seconds)) for name, seconds in every.items()}
+
+
 def latency(flown: Flown) -> Array:
     """From a measurement's arrival to its command, s, of the beats that had both."""
     record = flown.record
@@ -124,7 +134,7 @@ def summarise(flown: Flown) -> dict[str, Any]:
         ``beats``; ``missed_deadlines`` and, of them, ``missed_unexplained``; ``fallbacks`` by kind (beats);
         ``certificates`` by kind (beats, by the part that has the least; "none": no tube is claimed); ``mae``
         and ``rmse`` of Eq. 18 over all manoeuvres, without compensation and with it; ``latency_us`` from measurement
-        to command; ``realtime_factor`` of the window computation. None where a figure does not exist.
+        to command; ``realtime_factor`` of the window computation, and ``window_ms``, the median time of a whole one. None where a figure does not exist.
     """
     missed = deadlines(flown)
     with_law = errors_flown(flown)
@@ -146,4 +156,5 @@ def summarise(flown: Flown) -> dict[str, Any]:
             "p99": float(np.percentile(spans, 99)) if len(spans) else None,
         },
         "realtime_factor": realtime_factor(flown),
+        "window_ms": window_times(flown),
     }

@@ -134,7 +134,9 @@ def _cards(summary: dict[str, Any]) -> str:
     if span["median"] is not None:
         cards.append(("Measurement to command", f"{span['median']:.0f} µs", f"99th percentile {span['p99']:.0f} µs"))
     if factor is not None:
-        cards.append(("Real-time factor", f"{factor:.1f}", "seconds flown for one of computing windows"))
+        spent = summary["window_ms"]
+        took = "" if spent is None else f"; a whole one takes {spent['whole']:.0f} ms (median)"
+        cards.append(("Real-time factor", f"{factor:.1f}", f"seconds flown for one of computing windows{took}"))
     return "".join(
         f'<div class="card"><div class="what">{escape(what)}</div><div class="number">{escape(number)}</div>'
         f'<div class="how">{escape(how)}</div></div>'
