@@ -132,9 +132,10 @@ def summarise(flown: Flown) -> dict[str, Any]:
     -------
     dict
         ``beats``; ``missed_deadlines`` and, of them, ``missed_unexplained``; ``fallbacks`` by kind (beats);
-        ``certificates`` by kind (beats, by the part that has the least; "none": no tube is claimed); ``mae``
-        and ``rmse`` of Eq. 18 over all manoeuvres, without compensation and with it; ``latency_us`` from measurement
-        to command; ``realtime_factor`` of the window computation, and ``window_ms``, the median time of a whole one. None where a figure does not exist.
+        ``certificates`` by kind (beats, by the part that has the least; "none": no tube is claimed); ``mae`` and
+        ``rmse`` of Eq. 18 over all manoeuvres, without compensation and with it; ``latency_us`` from measurement to
+        command; ``realtime_factor`` of the window computation, and ``window_ms``, the median time of a whole one. None
+        where a figure does not exist.
     """
     missed = deadlines(flown)
     with_law = errors_flown(flown)
