@@ -17,8 +17,10 @@ from aerotube.compensation import KINDS
 from aerotube.dynamics import ErrorCoordinates
 from aerotube.errors import InputError
 from aerotube.preparation import prepare
+from aerotube.runtime import flight as flights
 from aerotube.runtime import log
 from aerotube.runtime.commander import Source
+from aerotube.runtime.faults import Faults
 from aerotube.runtime.flight import fly
 from aerotube.runtime.limits import what_limits
 from aerotube.runtime.messages import Rung
@@ -168,6 +170,16 @@ def test_faults_are_survived_logged_and_never_leave_the_limits(chosen):
     alone = (record.rung == Rung.NOMINAL).all(axis=1) & reached
     assert record.command[alone] == pytest.approx(record.nominal_control[alone])
     assert record.refused["alien sender"] >= 0.5 * faults.injected["alien"]
+
+
+@pytest.mark.parametrize("kind", ["drop", "delay", "corrupt", "nan", "garbage"])
+def test_a_flight_goes_on_though_its_first_measurement_is_hit(prepared, monkeypatch, kind):
+    monkeypatch.setattr(flights, "_faults", lambda *_: Faults(1.0, 0, worker_share=0.0, limit=1, kinds=(kind,)))
+    flown = fly(prepared, replace(CALM, speed=4.0, faults=1))
+    assert flown.faults.by_beat == {0: kind}
+    assert flown.record.flown == prepared.nominal.beats
+    assert flown.truth.flown_manoeuvres == 1
+    assert (flown.record.source == Source.MEASURED).any()
 
 
 def test_what_limits_the_tracking_is_the_noise(undisturbed):
