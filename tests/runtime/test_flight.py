@@ -1,5 +1,6 @@
 """Whole flights: the simulation's numbers, the log's, faults, and another's aircraft."""
 
+import copy
 import json
 import socket
 import struct
@@ -28,6 +29,7 @@ from aerotube.runtime.options import Options, make_estimator
 from aerotube.runtime.outcome import deadlines, errors_flown, summarise
 from aerotube.runtime.page import save
 from aerotube.runtime.plant import Actuators, Plant
+from aerotube.runtime.promises import promises
 from aerotube.runtime.replay import replay
 from aerotube.scenario import load
 
@@ -80,6 +82,7 @@ def test_the_summary_has_its_keys(undisturbed):
         "missed_unexplained",
         "fallbacks",
         "certificates",
+        "promises",
         "mae",
         "rmse",
         "latency_us",
@@ -170,6 +173,25 @@ def test_faults_are_survived_logged_and_never_leave_the_limits(chosen):
     alone = (record.rung == Rung.NOMINAL).all(axis=1) & reached
     assert record.command[alone] == pytest.approx(record.nominal_control[alone])
     assert record.refused["alien sender"] >= 0.5 * faults.injected["alien"]
+
+
+def test_beats_that_start_inside_end_in_their_tubes(prepared):
+    flown = fly(prepared, replace(CALM, duration=1.8, deviation="box", seed=2))
+    found = promises(flown)
+    assert found["certified"] == 36
+    assert found["promised"] > 0.8 * 36
+    assert found["left"] == 0
+    record = copy.copy(flown.record)
+    record.size = 1e-6 * flown.record.size
+    smaller = promises(replace(flown, record=record))
+    assert smaller == found | {"left": found["promised"]}
+    far = replace(flown.truth, states=flown.truth.states + np.r_[30.0, np.zeros(12)])
+    assert promises(replace(flown, truth=far))["promised"] == 0
+
+
+def test_tubes_promise_nothing_of_what_they_do_not_know(prepared, undisturbed):
+    assert promises(undisturbed)["promised"] == 0, "gusts, and the tubes are for still air"
+    assert promises(replace(undisturbed, options=replace(undisturbed.options, delay=1))) is None
 
 
 @pytest.mark.parametrize("kind", ["drop", "delay", "corrupt", "nan", "garbage"])

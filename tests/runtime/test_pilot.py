@@ -34,7 +34,7 @@ def test_the_ladder_of_a_late_window():
 
     def certified(value, rung):
         law = Laws.linear(made.task.form, gains(value)[None])[0]
-        return Chosen(law, np.full(2, int(rung)), np.ones(2), np.full(2, 2))
+        return Chosen(law, np.full(2, int(rung)), np.ones(2), np.full(2, 2), np.eye(8))
 
     def best():
         chosen, late = made._best(18)

@@ -169,6 +169,9 @@ def _print(summary: dict[str, Any], out: Path) -> None:
     ]
     kinds = [f"{count} {name}" for name, count in summary["certificates"].items() if count]
     words.append("certificates of the beats' laws: " + (", ".join(kinds) or "none"))
+    kept = summary["promises"]
+    if kept is not None:
+        words.append(f"{kept['promised']} beats started inside the sets of their tubes; {kept['left']} left its tube")
     for key, name in (("mae", "mean absolute error"), ("rmse", "root mean square error")):
         none, compensated = summary[key]["none"], summary[key]["compensated"]
         if none and compensated is not None:

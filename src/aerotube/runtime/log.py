@@ -114,6 +114,7 @@ def _put_beats(out: xr.Dataset, flown: Flown, start: float) -> None:
     put("rung", ("beat", "part"), record.rung[:count], "what stood behind the command, an index of rung_name")
     put("size", ("beat", "part"), record.size[:count], "certified size of the law's tube, in its own metric")
     put("certificate", ("beat", "part"), record.kind[:count], "behind the size, an index of certificate_name; -1 none")
+    put("metric", ("beat", "state", "other_state"), record.metric[:count], "in which the size is measured")
     put("coefficient", ("beat", "control", "monomial"), laws.coefficients, of_law)
     put("exponent", ("monomial", "state"), record.form.exponents, "powers of the errors in each monomial")
     put("room", ("beat", "control", "end"), laws.room, "increments at which a saturating law cuts itself off")

@@ -13,6 +13,7 @@ from aerotube.flight.metrics import error_metric, mean_absolute_error, root_mean
 from aerotube.runtime.alone import nominal_of
 from aerotube.runtime.flight import Flown
 from aerotube.runtime.plant import GRACE
+from aerotube.runtime.promises import promises
 from aerotube.runtime.record import WindowTimes
 from aerotube.runtime.watchdog import stolen
 
@@ -132,10 +133,10 @@ def summarise(flown: Flown) -> dict[str, Any]:
     -------
     dict
         ``beats``; ``missed_deadlines`` and, of them, ``missed_unexplained``; ``fallbacks`` by kind (beats);
-        ``certificates`` by kind (beats, by the part that has the least; "none": no tube is claimed); ``mae`` and
-        ``rmse`` of Eq. 18 over all manoeuvres, without compensation and with it; ``latency_us`` from measurement to
-        command; ``realtime_factor`` of the window computation, and ``window_ms``, the median time of a whole one. None
-        where a figure does not exist.
+        ``certificates`` by kind (beats, by the part that has the least; "none": no tube is claimed); ``promises`` of
+        their tubes, see :func:`~aerotube.runtime.promises.promises`; ``mae`` and ``rmse`` of Eq. 18 over all
+        manoeuvres, without compensation and with it; ``latency_us`` from measurement to command; ``realtime_factor`` of
+        the window computation, and ``window_ms``, the median time of a whole one. None where a figure does not exist.
     """
     missed = deadlines(flown)
     with_law = errors_flown(flown)
@@ -151,6 +152,7 @@ def summarise(flown: Flown) -> dict[str, Any]:
         "missed_unexplained": int(missed.unexplained.sum()),
         "fallbacks": flown.record.fallbacks(),
         "certificates": flown.record.certificates(),
+        "promises": promises(flown),
         **figures,
         "latency_us": {
             "median": float(np.median(spans)) if len(spans) else None,

@@ -207,6 +207,18 @@ def _certificates(dataset: xr.Dataset, summary: dict[str, Any]) -> str:
         f"{stated['samples']} for each beat, so that the tube is exceeded on no more than "
         f"{100 * stated['share']:.1f} % of the set, with a confidence of {100 * stated['confidence']:g} %.</p>"
         f'<div class="scroll"><table><tr><th class="n">beats</th><th>whose law has</th></tr>{rows}</table></div>'
+        + _kept(summary["promises"])
+    )
+
+
+def _kept(promises: dict[str, int] | None) -> str:
+    if promises is None:
+        return "<p>Whether this flight kept to its tubes is not looked at: they do not know how it was flown.</p>"
+    left = promises["left"]
+    return (
+        f"<p>Of {promises['certified']} certified beats, {promises['promised']} started inside the sets of their "
+        "tubes: errors, their measurement, parameters and air. Of these, "
+        f"{'none' if left == 0 else left} ended outside the tube.</p>"
     )
 
 

@@ -10,6 +10,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from aerotube.compensation import COUPLED
+from aerotube.compensation.tubes import regrouped
 from aerotube.nominal import Nominal
 from aerotube.runtime.commander import Beat, Commander
 from aerotube.runtime.faults import Faults
@@ -43,12 +45,15 @@ class Chosen:
         Of the one beat.
     rungs, kinds : ndarray (parts,) of int
     size : ndarray (parts,)
+    metric : ndarray (8, 8)
+        In which the sizes are measured, part by part; zero where nothing is certified.
     """
 
     law: Laws
     rungs: NDArray[np.int64]
     size: Array
     kinds: NDArray[np.int64]
+    metric: Array
 
 
 class Pilot:
@@ -225,7 +230,7 @@ class Pilot:
         sent = time.monotonic()
         commander.after(number, flown, command.control)
         record.put(beat, command, chosen.rungs, chosen.size, chosen.kinds, measured)
-        record.fly(beat, chosen.law)
+        record.fly(beat, chosen.law, chosen.metric)
         record.law_late[beat] = late
         record.nominal_state[beat], record.nominal_end[beat] = flown.nominal_state[:13], flown.next_state[:13]
         record.nominal_control[beat] = flown.nominal_control
@@ -295,7 +300,7 @@ class Pilot:
     def _uncertified(self, gains: Array, rung: Rung) -> Chosen:
         parts = len(self.task.settings.parts)
         law = Laws.linear(self.task.form, gains[None])[0]
-        return Chosen(law, np.full(parts, int(rung)), np.full(parts, np.nan), np.full(parts, -1))
+        return Chosen(law, np.full(parts, int(rung)), np.full(parts, np.nan), np.full(parts, -1), np.zeros((8, 8)))
 
     def _afterwards(self, beat: int) -> None:
         """Ask for the next window, take in what is done, look after the workers."""
@@ -375,9 +380,10 @@ class Pilot:
         times.designed, times.kept, times.seconds = window.designed, int(window.kept.sum()), window.seconds
         self.record.events += [(job.done, message) for message in window.messages]
         self._memory[first] = window
+        (metric,) = regrouped(window.metric, self.task.settings.parts, COUPLED)
         for j, beat in enumerate(window.beats + manoeuvre * self.horizon):
             own, certified = j < window.window, bool((window.rungs[j] <= Rung.LAST).all())
-            chosen = Chosen(window.laws[j], window.rungs[j], window.size[j], window.kinds[j])
+            chosen = Chosen(window.laws[j], window.rungs[j], window.size[j], window.kinds[j], metric[j])
             if own or certified:
                 (self._planned if own else self._held)[int(beat)] = chosen
             if own and certified:

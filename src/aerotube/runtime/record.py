@@ -77,6 +77,8 @@ class Record:
     kind : ndarray (g, parts) of int
         What stands behind it, an index of `aerotube.compensation.KINDS`; -1 where nothing does: no certified law, or
         none that was given a measurement of its own, which every tube presumes.
+    metric : ndarray (g, 8, 8)
+        In which sizes are measured, part by part.
     error : ndarray (g, 8)
         What the law was given.
     command : ndarray (g, 4)
@@ -104,6 +106,7 @@ class Record:
         self.form, self.laws = form, Laws.none(form, beats)
         self.size = np.full((beats, parts), nan)
         self.kind = np.full((beats, parts), -1)
+        self.metric = np.zeros((beats, 8, 8))
         self.error = np.full((beats, 8), nan)
         self.command = np.full((beats, 4), nan)
         self.clamped = np.zeros((beats, 4), bool)
@@ -129,8 +132,9 @@ class Record:
         self.error[beat], self.command[beat], self.clamped[beat] = command.error, command.control, command.clamped
         self.flown = beat + 1
 
-    def fly(self, beat: int, law: Laws) -> None:
-        """Write down a beat's law."""
+    def fly(self, beat: int, law: Laws, metric: Array) -> None:
+        """Write down a beat's law, and the metric in which its sizes are measured."""
+        self.metric[beat] = metric
         self.laws.coefficients[beat], self.laws.room[beat], self.laws.reach[beat] = (
             law.coefficients,
             law.room,
