@@ -171,7 +171,8 @@ def _print(summary: dict[str, Any], out: Path) -> None:
     words.append("certificates of the beats' laws: " + (", ".join(kinds) or "none"))
     kept = summary["promises"]
     if kept is not None:
-        words.append(f"{kept['promised']} beats started inside the sets of their tubes; {kept['left']} left its tube")
+        left = kept["left"] or "none"
+        words.append(f"{kept['promised']} beats started inside the sets of their tubes; of these {left} ended outside")
     for key, name in (("mae", "mean absolute error"), ("rmse", "root mean square error")):
         none, compensated = summary[key]["none"], summary[key]["compensated"]
         if none and compensated is not None:
