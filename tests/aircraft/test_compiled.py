@@ -70,7 +70,21 @@ def test_compiled_realise_is_realise(options):
     full = np.column_stack([state, np.zeros(40)]) if aircraft.engine_lag else state
     expected = aircraft.realise(full, control, increment)
     realise = aircraft.compiled_realise()
-    found = np.stack([realise(s, c, d) for s, c, d in zip(full, control, increment, strict=True)])
+    found = realise(full, control, increment)
+    assert np.array_equal(realise(full[3:4], control[3:4], increment[3:4])[0], found[3])
     assert np.clip(found, aircraft.control_lower, aircraft.control_upper) == pytest.approx(
         expected, rel=1e-12, abs=1e-12
     )
+
+
+def test_other_equations_are_not_flown_by_compiled_ones():
+    class Heavier(F16):
+        def rates(self, state, control, parameters=None, wind=None):
+            return super().rates(state, control, [0.9], wind)
+
+        def realise(self, state, control, increment):
+            return super().realise(state, control, 0.5 * np.asarray(increment))
+
+    assert Heavier().compiled_step() is None
+    assert Heavier().compiled_realise() is None
+    assert F16().compiled_step() is not None

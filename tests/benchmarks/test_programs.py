@@ -22,10 +22,11 @@ def sphere_times_interval(count: int, n: int) -> np.ndarray:
     return sos.Product(sos.Sphere(n), sos.Interval()).sample(count, seed=7)
 
 
-@pytest.mark.parametrize("name", ["lon-map", "lon-paper"])
-def test_two_solvers_agree(name: str) -> None:
+# The second solver counts what it leaves violated as feasible: as many digits are asked of it as it can give.
+@pytest.mark.parametrize(("name", "digits"), [("lon-map", 1e-10), ("lon-paper", 1e-8)])
+def test_two_solvers_agree(name: str, digits: float) -> None:
     prepared = own.prepare(made(name))
-    first, second = own.solve(prepared), own.solve(prepared, backend="clarabel", tolerance=1e-10)
+    first, second = own.solve(prepared), own.solve(prepared, backend="clarabel", tolerance=digits)
     assert first["status"] == second["status"] == "optimal"
     assert first["objective"] == pytest.approx(second["objective"], rel=2e-6)
 

@@ -17,12 +17,14 @@ from aerotube.compensation import (
     SynthesisSettings,
     boundary,
     carried,
+    flown_size,
     measure,
 )
 from aerotube.compensation import design as designed
 from aerotube.compensation.covers import sum_around
-from aerotube.compensation.sampled import FACTOR, Sampling, draw, support
+from aerotube.compensation.sampled import FACTOR
 from aerotube.compensation.sets import initial_ellipsoid
+from aerotube.compensation.worst_points import Sampling, draw, support
 from aerotube.dynamics import ErrorCoordinates, beat_set, flown_map
 from aerotube.nominal import constant_controls
 from aerotube.tube import DisturbanceBox
@@ -338,3 +340,32 @@ def test_samples_are_worth_what_they_say():
 def test_settings_out_of_range_are_named(change, words):
     with pytest.raises(Exception, match=words):
         SynthesisSettings(**change)
+
+
+def test_in_flight_the_sampled_size_is_that_of_the_tube():
+    settings, beats = replace(SAMPLED, noise_weight=1.0, measurement_error=1.0), range(2, 6)
+    nominal = table2(8)
+    made = designed(aircraft(), nominal, BOX, settings, beats=beats)
+    tubes, _ = measure(aircraft(), nominal, BOX, made.law, made.metric, settings, beats=beats)
+    size, kind = flown_size(aircraft(), nominal, BOX, made.law, made.metric, settings, beats=beats, workers=2)
+    assert (kind == "sampled").all()
+    np.testing.assert_allclose(np.maximum(size, tubes.polynomial_size), tubes.size, rtol=1e-6)
+
+
+def test_in_flight_a_polynomial_stands_in_where_a_sample_does_not_come_home():
+    """Pitch rates beyond what the nodes of the polynomial reach break the aircraft, and only samples meet them."""
+    plane = Fragile()
+    metric = [np.eye(4)[None], np.eye(4)[None]]
+    size, kind = flown_size(plane, spin(plane), DisturbanceBox(WIDTHS), no_law(), metric, SAMPLED)
+    assert kind.tolist() == [["polynomial only", "polynomial only"]]
+    assert np.isfinite(size).all()
+
+
+class Fragile(Spinner):
+    """Not finite where pitch and roll rate are both away from zero: where the halves' errors meet."""
+
+    def rates(self, state, control, parameters=None, wind=None):
+        p, q = state[7:9]
+        made = super().rates(state, control, parameters, wind)
+        broken = np.where(np.abs(p * q) > 1e-9, np.nan, 0.0)
+        return (*made[:7], made[7] + broken, made[8] + broken, *made[9:])

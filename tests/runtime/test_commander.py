@@ -8,39 +8,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from aerotube.compensation import SynthesisSettings
 from aerotube.dynamics import ErrorCoordinates
 from aerotube.runtime.commander import Beat, Commander, Source
-from aerotube.runtime.kernels import clamp, difference, moved
+from aerotube.runtime.kernels import clamp, increments
+from aerotube.runtime.law import Form, Laws
 from aerotube.runtime.messages import Rung
 from tests.samples import HALF_WIDTHS, aircraft, table2
 
 NOMINAL = table2(4)
+FORM = Form.of(SynthesisSettings())
 
 
 def commander(kind="relative"):
-    return Commander(aircraft(), ErrorCoordinates(kind), NOMINAL.dt, None, 20.0 * HALF_WIDTHS)
+    return Commander(aircraft(), ErrorCoordinates(kind), NOMINAL.dt, None, FORM, 20.0 * HALF_WIDTHS)
 
 
 def beat(gains, number=0):
-    return Beat(NOMINAL.states[number], NOMINAL.controls[number], gains, Rung.PLANNED, NOMINAL.states[number + 1])
-
-
-@pytest.mark.parametrize("kind", ["relative", "euler"])
-def test_compiled_error_is_that_of_the_coordinates(kind):
-    random = np.random.default_rng(3)
-    coordinates = ErrorCoordinates(kind)
-    states = ErrorCoordinates("euler").retract(NOMINAL.states[1], random.uniform(-3, 3, (200, 8)) * HALF_WIDTHS)
-    expected = coordinates.difference(states, NOMINAL.states[2])
-    found = np.stack([difference(state, NOMINAL.states[2], kind == "relative") for state in states])
-    assert found == pytest.approx(expected, abs=1e-12)
-
-
-def test_compiled_states_are_those_of_the_coordinates():
-    random = np.random.default_rng(5)
-    errors = random.uniform(-3, 3, (100, 8)) * HALF_WIDTHS
-    expected = ErrorCoordinates().retract(NOMINAL.states[2], errors)[:, :10]
-    found = np.stack([moved(NOMINAL.states[2], error) for error in errors])
-    assert found == pytest.approx(expected, abs=1e-12)
+    law = Laws.linear(FORM, gains[None])[0]
+    return Beat(NOMINAL.states[number], NOMINAL.controls[number], law, Rung.PLANNED, NOMINAL.states[number + 1])
 
 
 def test_command_is_the_law_realised():
@@ -56,6 +42,32 @@ def test_command_is_the_law_realised():
         )
         assert found.source == Source.MEASURED
         assert found.rung == Rung.PLANNED
+
+
+@pytest.mark.parametrize(
+    ("degree", "algorithm"), [(1, "decoupled"), (2, "decoupled"), (3, "decoupled"), (2, "coupled")]
+)
+@pytest.mark.parametrize("saturates", [False, True])
+def test_compiled_laws_are_those_that_are_certified(degree, algorithm, saturates):
+    random = np.random.default_rng(degree)
+    form = Form.of(SynthesisSettings(law_degree=degree, algorithm=algorithm))
+    laws = Laws.none(form, 1)
+    scale = np.prod(HALF_WIDTHS ** -form.exponents.astype(float), axis=1)
+    laws.coefficients[0] = random.uniform(-1, 1, (4, form.monomials)) * scale
+    for errors in form.parts if degree > 1 else ():
+        block = np.ix_([0], errors, errors)
+        laws.reach[block] = np.diag(1.0 / HALF_WIDTHS[list(errors)])
+    if saturates:
+        laws.room[0] = [-1.5, 1.0]
+    for share in random.uniform(-2, 2, (40, 8)):
+        state = ErrorCoordinates().retract(NOMINAL.states[0], share * HALF_WIDTHS)
+        law = laws[0]
+        error, found = increments(
+            law.coefficients, law.room, law.reach, form.factors, form.part_of, state, NOMINAL.states[0], True
+        )
+        expected = laws.batch(form, ErrorCoordinates()).increments(np.zeros(1, int), error[None, None])[0, 0]
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        assert not saturates or (np.abs(found - [-0.25] * 4) <= 1.25).all()
 
 
 wild = hnp.arrays(float, (4, 8), elements=st.floats(allow_nan=True, allow_infinity=True))

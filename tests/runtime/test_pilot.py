@@ -6,10 +6,11 @@ from aerotube.dynamics import ErrorCoordinates
 from aerotube.runtime.channels import QueueChannel
 from aerotube.runtime.commander import Commander
 from aerotube.runtime.guidance import Guidance
+from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Rung
-from aerotube.runtime.pilot import Pilot
+from aerotube.runtime.pilot import Chosen, Pilot
 from aerotube.runtime.session import Session
-from aerotube.runtime.windows import Task
+from aerotube.runtime.task import Task
 from aerotube.runtime.workers import Workers
 from tests.runtime.test_windows import SETTINGS
 from tests.samples import BOX, HALF_WIDTHS, aircraft, table2
@@ -17,9 +18,9 @@ from tests.samples import BOX, HALF_WIDTHS, aircraft, table2
 
 def pilot():
     nominal = table2(12)
-    commander = Commander(aircraft(), ErrorCoordinates(), nominal.dt, None, 20.0 * HALF_WIDTHS)
-    guidance = Guidance(aircraft(), nominal)
     task = Task(aircraft(), BOX, SETTINGS, window=4)
+    commander = Commander(aircraft(), ErrorCoordinates(), nominal.dt, None, task.form, 20.0 * HALF_WIDTHS)
+    guidance = Guidance(aircraft(), nominal)
     return Pilot(Session(QueueChannel.pair()[0], 1), task, guidance, commander, Workers(1), 24, 1.0)
 
 
@@ -28,37 +29,32 @@ def gains(value):
 
 
 def test_the_ladder_of_a_late_window():
-    made, sizes = pilot(), np.ones(2)
-    planned, rungs = np.zeros(2, int), np.full(2, int(Rung.LAST))
+    made = pilot()
     nominal = made.guidance.planned
+
+    def certified(value, rung):
+        law = Laws.linear(made.task.form, gains(value)[None])[0]
+        return Chosen(law, np.full(2, int(rung)), np.ones(2), np.full(2, 2), np.eye(8))
+
+    def best():
+        chosen, late = made._best(18)
+        return chosen.law.coefficients[0, 0], chosen.rungs.max(), chosen.kinds.min(), late
+
     # the beat is the sixth of the second manoeuvre
     made._nominals[18] = nominal
-    found = made._best(18)
-    assert (found[0] == 0).all()
-    assert (found[1] == Rung.NOMINAL).all()
-    assert found[3]
+    assert best() == (0, Rung.NOMINAL, -1, True)
     made._earlier_lqr[6] = gains(1)
-    assert made._best(18)[0][0, 0] == 1
+    assert best() == (1, Rung.LQR, -1, True)
     made._lqr[18] = gains(2)
-    found = made._best(18)
-    assert found[0][0, 0] == 2
-    assert (found[1] == Rung.LQR).all()
-    made._earlier[6] = (gains(3), planned, sizes), table2(12, "smooth")
-    assert made._best(18)[0][0, 0] == 2, "certified on another nominal"
-    made._earlier[6] = (gains(3), planned, sizes), nominal
-    found = made._best(18)
-    assert found[0][0, 0] == 3
-    assert (found[1] == Rung.LAST).all()
-    made._held[18] = gains(4), rungs, sizes
-    found = made._best(18)
-    assert found[0][0, 0] == 4
-    assert (found[1] == Rung.LAST).all()
-    assert found[3]
-    made._planned[18] = gains(5), planned, sizes
-    found = made._best(18)
-    assert found[0][0, 0] == 5
-    assert (found[1] == Rung.PLANNED).all()
-    assert not found[3]
+    assert best() == (2, Rung.LQR, -1, True)
+    made._earlier[6] = certified(3, Rung.PLANNED), table2(12, "smooth")
+    assert best() == (2, Rung.LQR, -1, True), "certified on another nominal"
+    made._earlier[6] = certified(3, Rung.PLANNED), nominal
+    assert best() == (3, Rung.LAST, 2, True)
+    made._held[18] = certified(4, Rung.LAST)
+    assert best() == (4, Rung.LAST, 2, True)
+    made._planned[18] = certified(5, Rung.PLANNED)
+    assert best() == (5, Rung.PLANNED, 2, False)
 
 
 def test_guidance_moves_only_what_is_still_to_come():

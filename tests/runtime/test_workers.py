@@ -1,12 +1,13 @@
 """Workers that die or stall are replaced, and their work is done or given up aloud."""
 
+import multiprocessing
 import threading
 import time
 
 import numpy as np
 import pytest
 
-from aerotube.runtime.watchdog import stolen
+from aerotube.runtime.watchdog import Watchdog, measure, stolen
 from aerotube.runtime.workers import Job, Killed, Workers
 
 
@@ -92,3 +93,24 @@ def test_stolen_time_is_that_within_the_span():
     assert stolen(thefts, 1.8, 3.25) == pytest.approx(0.45)
     assert stolen(thefts, 2.1, 2.9) == 0.0
     assert stolen(np.empty((0, 3)), 0.0, 5.0) == 0.0
+
+
+def test_a_watchdog_that_cannot_keep_to_its_core_says_so():
+    """There is no core of that number."""
+    stopped, stop = multiprocessing.Pipe(duplex=False)
+    report, reported = multiprocessing.Pipe(duplex=False)
+    watch = threading.Thread(target=measure, args=(stopped, reported, 100_000), daemon=True)
+    watch.start()
+    stop.send(None)
+    found, trouble = report.recv()
+    assert isinstance(found, list)
+    assert "core 100000" in trouble
+
+
+def test_watchdogs_report_and_their_loss_is_told():
+    watch = Watchdog()
+    watch._watches[0][0].kill()
+    watch._watches[0][0].join(5.0)
+    assert watch.stop().shape[1] == 3
+    assert len(watch.troubles) == 1
+    assert "has not reported" in watch.troubles[0]

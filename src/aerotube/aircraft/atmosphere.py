@@ -23,13 +23,13 @@ _DENSITY_EXPONENT = 4.14
 _HEAT_RATIO_TIMES_GAS_CONSTANT = 1.4 * 1716.3 * FOOT**2 / RANKINE  # m2/(s2 K)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def air_density(altitude: Any) -> Any:
     """Density (kg/m3) at an altitude (m)."""
     return _SEA_LEVEL_DENSITY * (1.0 - _LAPSE * altitude) ** _DENSITY_EXPONENT
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def speed_of_sound(altitude: Any) -> Any:
     """Speed of sound (m/s) at an altitude (m)."""
     temperature = select(

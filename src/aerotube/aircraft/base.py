@@ -170,7 +170,7 @@ class Aircraft(ABC):
         return None
 
     def compiled_realise(self) -> Realise | None:
-        """`realise` for one state at a time, compiled, without the clipping; None where an aircraft has none.
+        """`realise` for rows of states, compiled, without the clipping; None where an aircraft has none.
 
         Returns
         -------

@@ -86,7 +86,7 @@ class Airframe(NamedTuple):
     engine_momentum: float  # kg m2/s
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def air_data(state: Components, wind: Components) -> Components:
     """Airspeed (m/s), angle of attack, sideslip (rad) and Mach number."""
     u, v, w = state[0] - wind[0], state[1] - wind[1], state[2] - wind[2]
@@ -94,7 +94,7 @@ def air_data(state: Components, wind: Components) -> Components:
     return airspeed, attack, sideslip, airspeed / speed_of_sound(state[12])
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def airframe_rates(
     airframe: Airframe,
     state: Components,
@@ -133,7 +133,7 @@ def airframe_rates(
     return rigid_body_rates(state, specific_force, moment, airframe.inertia, momentum, GRAVITY)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def settled_rates(
     airframe: Airframe,
     state: Components,
@@ -154,7 +154,7 @@ def settled_rates(
     )
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def lagging_rates(
     airframe: Airframe,
     state: Components,
@@ -176,7 +176,7 @@ def lagging_rates(
     return (*rates, power_rate(power, power_from_throttle(control[1])))
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def quick_step_rates(
     airframe: Airframe, state: Components, control: Components, parameters: Components, wind: Components
 ) -> Components:
@@ -184,7 +184,7 @@ def quick_step_rates(
     return settled_rates(airframe, state, control, 0.0, parameters[0], wind)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def lagging_step_rates(
     airframe: Airframe, state: Components, control: Components, parameters: Components, wind: Components
 ) -> Components:
@@ -192,7 +192,7 @@ def lagging_step_rates(
     return lagging_rates(airframe, state, control, parameters[0], wind)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def quick_uncertain_rates(
     airframe: Airframe, state: Components, control: Components, parameters: Components, wind: Components
 ) -> Components:
@@ -201,7 +201,7 @@ def quick_uncertain_rates(
     return settled_rates(airframe, state, control, 0.0, mass, wind, inertia, lift, effectiveness)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def lagging_uncertain_rates(
     airframe: Airframe, state: Components, control: Components, parameters: Components, wind: Components
 ) -> Components:
@@ -210,7 +210,7 @@ def lagging_uncertain_rates(
     return lagging_rates(airframe, state, control, mass, wind, inertia, lift, effectiveness)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def settled_throttle(levels: Components, nominal: Any, increment: Any) -> Any:
     """Throttle whose settled thrust is that of the nominal throttle plus an increment (N), 0 to 1."""
     thrust = thrust_from_power(power_from_throttle(nominal), levels) + increment
@@ -219,7 +219,7 @@ def settled_throttle(levels: Components, nominal: Any, increment: Any) -> Any:
     return throttle_from_power(bounded)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def realised_controls(thrust: Table2, state: Components, control: Components, increment: Components) -> Components:
     """Controls that give increments of elevator, thrust, aileron and rudder, as far as the throttle goes."""
     levels = thrust_levels(thrust, air_data(state, STILL_AIR)[3], state[12])
@@ -379,8 +379,10 @@ class F16(Aircraft):
         """Power (percent) at which the lagging engine rests; nothing without engine lag."""
         return (power_from_throttle(control[1]),) if self.engine_lag else ()
 
-    def compiled_step(self) -> Step:
-        """A step compiled to machine code; see `Aircraft.compiled_step`."""
+    def compiled_step(self) -> Step | None:
+        """A step compiled to machine code, of this class's own equations; see `Aircraft.compiled_step`."""
+        if type(self).rates is not F16.rates:
+            return None
         states = len(self.state_names)
         if len(self.parameter_names) == 1:
             rates = lagging_step_rates if self.engine_lag else quick_step_rates
@@ -398,9 +400,11 @@ class F16(Aircraft):
 
         return step
 
-    def compiled_realise(self) -> Realise:
-        """`realise` compiled; see `Aircraft.compiled_realise`."""
-        return compiled_realise(realised_controls, self.airframe.thrust)
+    def compiled_realise(self) -> Realise | None:
+        """`realise` compiled, this class's own; see `Aircraft.compiled_realise`."""
+        return (
+            None if type(self).realise is not F16.realise else compiled_realise(realised_controls, self.airframe.thrust)
+        )
 
     def domain_values(self, state: Sequence[Any]) -> Components:
         """Attack and sideslip (deg), Mach number, altitude (m), and by how much military thrust exceeds idle (N)."""

@@ -16,7 +16,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from aerotube.aircraft import f16_tables as published
-from aerotube.numerics import Table1, Table2, lookup1, lookup2, stack2, table1, table2
+from aerotube.numerics import Table1, Table2, entry, lookup1, lookup2, stack2, table1, table2
 from aerotube.numerics.tables import Interpolation
 
 Components = tuple[Any, ...]
@@ -79,7 +79,7 @@ def aerodynamic_tables(interpolation: Interpolation) -> AerodynamicTables:
     )
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def coefficients(
     tables: AerodynamicTables,
     flow: Components,
@@ -121,16 +121,16 @@ def coefficients(
 
     by_attack = lookup1(tables.attack, attack)
     by_elevator = lookup2(tables.elevator_attack, elevator, attack)
-    axial, pitching = by_elevator[0], by_elevator[1]
+    axial, pitching = entry(by_elevator, 0), entry(by_elevator, 1)
     if effectiveness is not None:
         neutral = lookup2(tables.elevator_attack, 0.0 * elevator, attack)
-        axial = neutral[0] + effectiveness * (axial - neutral[0])
-        pitching = neutral[1] + effectiveness * (pitching - neutral[1])
+        axial = entry(neutral, 0) + effectiveness * (axial - entry(neutral, 0))
+        pitching = entry(neutral, 1) + effectiveness * (pitching - entry(neutral, 1))
         elevator, aileron, rudder = effectiveness * elevator, effectiveness * aileron, effectiveness * rudder
     by_sideslip = lookup2(tables.sideslip_attack, sideslip, attack)
-    static_cz, cx_q, cz_q, cm_q = by_attack[0], by_attack[1], by_attack[2], by_attack[3]
-    cy_r, cy_p, cl_r = by_attack[4], by_attack[5], by_attack[6]
-    cl_p, cn_r, cn_p = by_attack[7], by_attack[8], by_attack[9]
+    static_cz, cx_q, cz_q, cm_q = entry(by_attack, 0), entry(by_attack, 1), entry(by_attack, 2), entry(by_attack, 3)
+    cy_r, cy_p, cl_r = entry(by_attack, 4), entry(by_attack, 5), entry(by_attack, 6)
+    cl_p, cn_r, cn_p = entry(by_attack, 7), entry(by_attack, 8), entry(by_attack, 9)
 
     cx = axial + cx_q * pitch
     cy = _CY_SIDESLIP * sideslip + _CY_AILERON * aileron + _CY_RUDDER * rudder + cy_r * yaw + cy_p * roll
@@ -139,7 +139,19 @@ def coefficients(
         sine, cosine = np.sin(attack), np.cos(attack)
         added = (lift - 1.0) * (cx * sine - cz * cosine)
         cx, cz = cx + added * sine, cz - added * cosine
-    cl = by_sideslip[0] + by_sideslip[2] * aileron + by_sideslip[3] * rudder + cl_r * yaw + cl_p * roll
+    cl = (
+        entry(by_sideslip, 0)
+        + entry(by_sideslip, 2) * aileron
+        + entry(by_sideslip, 3) * rudder
+        + cl_r * yaw
+        + cl_p * roll
+    )
     cm = pitching + cm_q * pitch + lever * cz
-    cn = by_sideslip[1] + by_sideslip[4] * aileron + by_sideslip[5] * rudder + cn_r * yaw + cn_p * roll
+    cn = (
+        entry(by_sideslip, 1)
+        + entry(by_sideslip, 4) * aileron
+        + entry(by_sideslip, 5) * rudder
+        + cn_r * yaw
+        + cn_p * roll
+    )
     return cx, cy, cz, cl, cm, cn - (lever * CHORD / SPAN) * cy

@@ -15,7 +15,7 @@ from numba.extending import register_jitable
 
 from aerotube.aircraft import f16_tables as published
 from aerotube.aircraft.units import FOOT, POUND_FORCE
-from aerotube.numerics import Table2, lookup2, select, table2
+from aerotube.numerics import Table2, entry, lookup2, select, table2
 from aerotube.numerics.tables import Interpolation
 
 Components = tuple[Any, ...]
@@ -34,27 +34,27 @@ def thrust_table(interpolation: Interpolation) -> Table2:
     return table2(published.MACH, FOOT * published.ALTITUDE, in_newtons, interpolation)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def thrust_levels(table: Table2, mach: Any, altitude: Any) -> Components:
     """Idle, military and maximum thrust (N) at a Mach number and altitude (m)."""
     levels = lookup2(table, mach, altitude)
-    return levels[0], levels[1], levels[2]
+    return entry(levels, 0), entry(levels, 1), entry(levels, 2)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def power_from_throttle(throttle: Any) -> Any:
     """Power (percent) that a throttle setting commands. It drops by 0.0012 past the kink, as published."""
     return select(throttle <= _KINK, _SLOPE * throttle, _SLOPE_BEYOND * throttle + _OFFSET_BEYOND)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def throttle_from_power(power: Any) -> Any:
     """Throttle setting that commands a power (percent); the lesser where two do."""
     beyond = (power - _OFFSET_BEYOND) * (1.0 / _SLOPE_BEYOND)
     return select(power <= _POWER_AT_KINK, power * (1.0 / _SLOPE), beyond)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def thrust_from_power(power: Any, levels: Components) -> Any:
     """Thrust (N) at a power (percent)."""
     idle, military, maximum = levels
@@ -64,7 +64,7 @@ def thrust_from_power(power: Any, levels: Components) -> Any:
     return select(power < 50.0, below, beyond)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def power_from_thrust(thrust: Any, levels: Components) -> Any:
     """Power (percent) that gives a thrust (N); outside 0 to 100 where no throttle does."""
     idle, military, maximum = levels
@@ -73,7 +73,7 @@ def power_from_thrust(thrust: Any, levels: Components) -> Any:
     return select(thrust < military, below, beyond)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def power_rate(power: Any, command: Any) -> Any:
     """Rate (percent/s) of the power of a lagging engine under a power command (percent)."""
     high, high_command = power >= 50.0, command >= 50.0

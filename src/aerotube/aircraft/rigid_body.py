@@ -28,7 +28,7 @@ class Inertia(NamedTuple):
     xz: float
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def flow_angles(velocity: Components) -> Components:
     """Airspeed (m/s), angle of attack and sideslip (rad) of an air-relative velocity in body axes (Eq. 17)."""
     u, v, w = velocity
@@ -36,14 +36,14 @@ def flow_angles(velocity: Components) -> Components:
     return airspeed, np.arctan2(w, u), np.arcsin(v / airspeed)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def velocity_from_flow(airspeed: Any, attack: Any, sideslip: Any) -> Components:
     """Body-axis velocity (m/s) of an airspeed (m/s), angle of attack and sideslip (rad)."""
     forward = airspeed * np.cos(sideslip)
     return forward * np.cos(attack), airspeed * np.sin(sideslip), forward * np.sin(attack)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def rigid_body_rates(
     state: Components,
     specific_force: Components,

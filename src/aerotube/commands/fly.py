@@ -75,8 +75,8 @@ def fly(
     if replay is not None:
         _replay(replay)
         return
-    from aerotube.runtime.flight import Options
     from aerotube.runtime.flight import fly as take_off
+    from aerotube.runtime.options import Options
     from aerotube.runtime.page import save
 
     kind: Any = deviation
@@ -140,10 +140,10 @@ def _shown(headless: bool) -> tuple[Any, Any]:
 
 
 def _replay(path: Path) -> None:
-    from aerotube.runtime import log
+    from aerotube.runtime import log, replay
 
     with interruptible():
-        found = log.replay(log.read(path))
+        found = replay.replay(log.read(path))
     same = all(found[key] in (0.0, None) for key in ("state", "command"))
     typer.echo(
         f"{path}: "
@@ -167,6 +167,12 @@ def _print(summary: dict[str, Any], out: Path) -> None:
         f"{summary['missed_unexplained']} of them not explained by the machine",
         "fallbacks: " + (", ".join(f"{count} {name}" for name, count in fallbacks.items()) or "none"),
     ]
+    kinds = [f"{count} {name}" for name, count in summary["certificates"].items() if count]
+    words.append("certificates of the beats' laws: " + (", ".join(kinds) or "none"))
+    kept = summary["promises"]
+    if kept is not None:
+        left = kept["left"] or "none"
+        words.append(f"{kept['promised']} beats started inside the sets of their tubes; of these {left} ended outside")
     for key, name in (("mae", "mean absolute error"), ("rmse", "root mean square error")):
         none, compensated = summary[key]["none"], summary[key]["compensated"]
         if none and compensated is not None:
@@ -177,6 +183,10 @@ def _print(summary: dict[str, Any], out: Path) -> None:
         words.append(f"measurement to command: {span['median']:.0f} µs median, {span['p99']:.0f} µs 99th percentile")
     if summary["realtime_factor"] is not None:
         words.append(f"windows are computed {summary['realtime_factor']:.1f} times as fast as they are flown")
+    spent = summary["window_ms"]
+    if spent is not None:
+        parts = [f"{spent[name]:.0f} to {name}" for name in ("check", "design", "certify") if spent[name]]
+        words.append(f"a whole window takes {spent['whole']:.0f} ms (median): {', '.join(parts)}")
     for line in words:
         console.print(line, soft_wrap=True)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)

@@ -4,10 +4,10 @@ from aerotube.compensation.bounds import KINDS, NONE, SHARES
 from aerotube.compensation.design import Design, design
 from aerotube.compensation.gauge import Reading, gauge, gauge_beat
 from aerotube.compensation.law import LinearLaw, PolynomialLaw
-from aerotube.compensation.sampled import Sampling
 from aerotube.compensation.settings import COUPLED, DECOUPLED, Part, SynthesisSettings
 from aerotube.compensation.synthesis import Compensation, synthesise
-from aerotube.compensation.tubes import Tubes, certified_size, measure
+from aerotube.compensation.tubes import Tubes, certified_size, flown_size, measure
+from aerotube.compensation.worst_points import Sampling
 
 __all__ = [
     "COUPLED",
@@ -26,6 +26,7 @@ __all__ = [
     "Tubes",
     "certified_size",
     "design",
+    "flown_size",
     "gauge",
     "gauge_beat",
     "measure",

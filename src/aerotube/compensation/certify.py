@@ -19,6 +19,7 @@ from aerotube.compensation.closed_loop import BatchLaw
 from aerotube.compensation.polynomial import Size
 from aerotube.compensation.rigorous import Pieces
 from aerotube.compensation.settings import Part
+from aerotube.compensation.worst_points import Sampling, Search
 from aerotube.dynamics import (
     BeatSet,
     ErrorCoordinates,
@@ -59,7 +60,7 @@ class Work:
     degree : int
         Of the programs.
     beyond : Beyond
-    sampling : sampled.Sampling
+    sampling : Sampling
     workers : int
     """
 
@@ -72,7 +73,7 @@ class Work:
     metric: tuple[Array, ...]
     degree: int
     beyond: Beyond
-    sampling: sampled.Sampling
+    sampling: Sampling
     workers: int
 
     def set_of(self, beats: Beats, beyond: Beyond) -> BeatSet:
@@ -110,10 +111,10 @@ def sampled_bounds(work: Work, law: BatchLaw, sizes: Sequence[Sizes]) -> list[Fo
         One for each part.
     """
 
-    def search(beats: Beats, flown: BatchLaw | None) -> sampled.Search:
+    def search(beats: Beats, flown: BatchLaw | None) -> Search:
         over = work.set_of(beats, work.beyond if flown is not None else work.air)
         fly = partial(_fly, work, beats, over, flown)
-        return sampled.Search(fly, over, work.sampling)
+        return Search(fly, over, work.sampling)
 
     def task(rows: slice) -> list[Found]:
         beats = work.beats[rows]
@@ -131,6 +132,19 @@ def sampled_bounds(work: Work, law: BatchLaw, sizes: Sequence[Sizes]) -> list[Fo
         return out
 
     return _joined(work.batches(task, _SAMPLED))
+
+
+def sampled_sizes(work: Work, law: BatchLaw | None) -> Array:
+    """Sampled sizes of every part, with a law or without it: ndarray (b, parts), infinite where there is no bound."""
+
+    def task(rows: slice) -> Array:
+        beats = work.beats[rows]
+        over = work.set_of(beats, work.beyond if law is not None else work.air)
+        search = Search(partial(_fly, work, beats, over, law), over, work.sampling)
+        return sampled.sizes(search, work.parts, [metric[rows] for metric in work.metric])
+
+    # each thread has one batch: the flights are many, and what is done once a batch is not
+    return np.concatenate(work.batches(task, -(-len(work.beats) // work.workers)))
 
 
 def _fly(work: Work, beats: Beats, over: BeatSet, law: BatchLaw | None, points: Array) -> Array:

@@ -21,6 +21,7 @@ from aerotube.compensation.forecast import Forecast, forecast
 from aerotube.compensation.sets import InitialEllipsoid, initial_ellipsoid
 from aerotube.compensation.settings import Part, SynthesisSettings
 from aerotube.dynamics import ErrorCoordinates, Linearisation, error_map, taylor_map
+from aerotube.dynamics.error_kernels import moved_each
 from aerotube.nominal import Nominal
 from aerotube.tube import DisturbanceSet, parameter_ranges, riccati, tracking_weights
 
@@ -134,9 +135,19 @@ def _make(aircraft: Aircraft, nominal: Nominal, disturbance: DisturbanceSet, set
     expected = expectations(aircraft, nominal, disturbance, settings, linear)
     seen = coordinates.box(nominal.states[:-1], (1.0 + settings.measurement_error) * disturbance.half_widths)
     parts = []
+    # halves of the same number of errors ask for the same
+    room = {
+        size: available_increments(
+            aircraft,
+            nominal.states[:-1],
+            nominal.controls,
+            coordinates,
+            seen * (np.sqrt(size) if settings.limits == "ellipsoid" else 1.0),
+        )
+        for size in {len(part.errors) for part in settings.parts}
+    }
     for part in settings.parts:
-        reach = seen * (np.sqrt(len(part.errors)) if settings.limits == "ellipsoid" else 1.0)
-        lower, upper = available_increments(aircraft, nominal.states[:-1], nominal.controls, coordinates, reach)
+        lower, upper = room[len(part.errors)]
         if settings.rate_limits is not None:
             half = _share_of_rate(aircraft, nominal, np.array(settings.rate_limits))
             lower, upper = np.maximum(lower, -half), np.minimum(upper, half)
@@ -311,6 +322,8 @@ def available_increments(
     lower, upper : ndarray (b, 4)
     """
     corners = np.array([*itertools.product((-1.0, 1.0), repeat=8), (0.0,) * 8])
-    around = coordinates.retract(states[:, None], corners * reach[:, None])
+    errors = corners * reach[:, None]
+    relative = coordinates.kind == "relative"
+    around = moved_each(states, errors) if relative else coordinates.retract(states[:, None], errors)
     lower, upper = aircraft.virtual_limits(around, np.broadcast_to(controls[:, None], (*around.shape[:2], 4)))
     return lower.max(1), upper.min(1)

@@ -74,7 +74,9 @@ class LinearLaw:
         -------
         ndarray (b, ..., 4)
         """
-        return _each_kept(np.einsum("bij,b...j->b...i", self.gains[beats], error), self.room, beats)
+        rows = np.broadcast_to(error, (len(beats), *np.shape(error)[1:])).reshape(len(beats), -1, 8)
+        made = rows @ np.swapaxes(self.gains[beats], 1, 2)
+        return _each_kept(made.reshape(len(beats), *np.shape(error)[1:-1], 4), self.room, beats)
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,7 @@ r"""Bounds of tubes from samples of the true map.
 
 The size of a tube, the largest :math:`x^{+T} E x^+` over a set, is estimated from below by everything that is tried:
 independent samples of the set, and ascents from the worst of them and from the worst points of the linearised map.
-Each step of an ascent goes to where the set supports the gradient, as suits the maximum of a nearly convex function
-over a product of balls (the Frank-Wolfe method with whole steps; a power method where the map is linear).
+See :mod:`aerotube.compensation.worst_points`.
 
 What may be said of the largest value found, `FACTOR` times which is the bound: the samples being N independent draws
 from a distribution on the set, with confidence ``1 - (1 - s)^N`` the points whose size exceeds it have a share of at
@@ -18,9 +17,8 @@ one of its ends with probability one half and uniform otherwise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,262 +26,43 @@ from numpy.typing import NDArray
 from aerotube.compensation.bounds import SHARES, Bound
 from aerotube.compensation.covers import sum_around
 from aerotube.compensation.settings import Part
+from aerotube.compensation.worst_points import QUICK, THOROUGH, USUAL, Mask, Search, sizes_of
 from aerotube.dynamics import BeatSet
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: What the largest size found is multiplied by, in the metric of a tube and in its terminal ellipsoid, which may be a
 #: sliver in which only what is not linear is seen. A search of a million points a beat on the manoeuvre of Table 2 went
 #: 0.6 and 4 percent beyond what was found here, at the most; these are about twice as much.
 FACTOR, TERMINAL_FACTOR = 1.01, 1.1
-_LOCAL = 0.05  # length of a finite difference
-_LOCAL_STEPS = 2
 
 
-@dataclass(frozen=True)
-class _Effort:
-    """What a search for a worst point does.
-
-    Attributes
-    ----------
-    samples, directions : int
-        Samples and principal directions to climb the fitted maps from.
-    steps : int
-        Of a climb.
-    flown : int
-        Ends of climbs that are flown.
-    refinements : int
-        Climbs along local slopes of the true map, from the worst of these.
-    climbers : int
-        Points that climb so at the same time; a map with kinks has several local maxima.
-    """
-
-    samples: int
-    directions: int
-    steps: int
-    flown: int
-    refinements: int
-    climbers: int
-
-
-#: For the shares, which only say how a bound is made up; for the bound; and for terminal ellipsoids.
-QUICK, USUAL, THOROUGH = _Effort(4, 2, 6, 2, 0, 1), _Effort(6, 3, 8, 8, 2, 1), _Effort(20, 3, 16, 8, 2, 2)
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """How many samples, and what they are worth.
-
-    Attributes
-    ----------
-    samples : int
-        Independent draws for each beat; the two halves share them.
-    confidence : float
-        Between 0 and 1.
-    seed : int
-    """
-
-    samples: int
-    confidence: float
-    seed: int
-
-    @property
-    def share(self) -> float:
-        """Largest share of the set, in the distribution of the samples, that may exceed a bound."""
-        return float(-np.expm1(np.log1p(-self.confidence) / self.samples))
-
-
-@lru_cache(maxsize=16)
-def draw(balls: tuple[int, ...], count: int, seed: int) -> Array:
-    """Independent samples of a product of balls, in the distribution of the module's text: ndarray (count, k)."""
-    generator = np.random.default_rng(seed)
-    parts = []
-    for size in balls:
-        x = generator.standard_normal((count, size))
-        x /= np.linalg.norm(x, axis=1, keepdims=True)
-        radius = generator.random((count, 1)) ** (1.0 / size)
-        parts.append(x * np.where(generator.random((count, 1)) < 0.5, 1.0, radius))
-    return np.concatenate(parts, axis=1)
-
-
-def support(over: BeatSet, gradient: Array) -> Array:
-    """Points of the product of balls that are farthest along gradients (..., k); zero along a zero gradient."""
-    out, start = np.sign(gradient), 0
-    for size in over.balls:
-        if size == 1:
-            start += 1
-            continue
-        own = gradient[..., start : start + size]
-        length = np.linalg.norm(own, axis=-1, keepdims=True)
-        out[..., start : start + size] = own / np.where(length > 0.0, length, 1.0)
-        start += size
-    return out
-
-
-def _curved(names: tuple[str, ...], balls: tuple[int, ...]) -> Mask:
-    """Variables that are neither measurement errors nor wind, in which maps are all but linear: bool (k,)."""
-    kinds = np.repeat([name.split(" ")[0] for name in names], balls)
-    return np.asarray(~np.isin(kinds, ("measurement", "wind")))
-
-
-@lru_cache(maxsize=16)
-def _fitting(
-    names: tuple[str, ...], balls: tuple[int, ...], count: int, seed: int
-) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-    """From values at the samples to coefficients of a quadratic map, and which products of variables it has.
-
-    Measurement errors and wind, of which there are many, enter linearly.
-    """
-    curved = np.flatnonzero(_curved(names, balls))
-    rows, columns = (curved[i] for i in np.tril_indices(len(curved)))
-    z = draw(balls, count, seed)
-    features = np.concatenate([np.ones((count, 1)), z, z[:, rows] * z[:, columns]], axis=1)
-    return np.linalg.pinv(features, rcond=1e-9), rows, columns
-
-
-class Search:
-    """A search for the worst points of the sets of a batch of beats.
+def sizes(search: Search, parts: Sequence[Part], forms: Sequence[Array]) -> Array:
+    """Sampled bounds of the sizes of parts, and nothing else of what :func:`bound` gives: for use in flight.
 
     Parameters
     ----------
-    fly : callable
-        From points (b, u, k) to errors (b, u, 8) at the end of the beat.
-    over : BeatSet
-    sampling : Sampling
+    search : Search
+        Over the whole set of the beats.
+    parts : sequence of Part
+    forms : sequence of ndarray (b, n, n)
+        The metric of each.
 
-    Attributes
-    ----------
-    points : ndarray (N, k)
-        The independent samples, the same for all beats.
-    ends : ndarray (b, N, 8)
-        Where they end.
+    Returns
+    -------
+    ndarray (b, parts)
+        Infinite where a flight was not finite.
     """
-
-    def __init__(self, fly: Callable[[Array], Array], over: BeatSet, sampling: Sampling) -> None:
-        self.fly, self.over = fly, over
-        self.beats, _, self.size = over.error.shape
-        self.seed = sampling.seed
-        self.points = draw(over.balls, sampling.samples, sampling.seed)
-        self.ends = fly(np.broadcast_to(self.points, (self.beats, *self.points.shape)))
-        self.sound = np.isfinite(self.ends).all(axis=(1, 2))
-        self.curved = _curved(over.names, over.balls)
-        self.centre, self.slopes, self.bends = self._fit()
-
-    def _fit(self) -> tuple[Array, Array, Array]:
-        """Quadratic maps through the samples by least squares: (b, 8), (b, 8, k) and symmetric (b, 8, kc, kc).
-
-        The first kc variables are the curved ones.
-        """
-        inverse, rows, columns = _fitting(self.over.names, self.over.balls, len(self.points), self.seed)
-        ends = np.where(np.isfinite(self.ends), self.ends, 0.0)
-        found = np.swapaxes(inverse @ ends, 1, 2)
-        curved = int(self.curved.sum())
-        bends = np.zeros((self.beats, 8, curved, curved))
-        bends[:, :, rows, columns] = found[..., 1 + self.size :]
-        return found[..., 0], found[..., 1 : 1 + self.size], bends + np.swapaxes(bends, 2, 3)
-
-    def largest(self, errors: Sequence[int], form: Array, free: Mask, effort: _Effort = USUAL) -> tuple[Array, Array]:
-        """Largest ``x' form x`` found with some of the variables free, the others zero.
-
-        Parameters
-        ----------
-        errors : sequence of int, length n
-        form : ndarray (b, n, n)
-        free : bool (k,)
-        effort : _Effort
-
-        Returns
-        -------
-        value : ndarray (b,)
-            Infinite where some flight was not finite. If all variables are free, at least that of every sample.
-        point : ndarray (b, k)
-        """
-        own = list(errors)
-        sizes = _sizes(self.ends[..., own], form)
-        best = np.argsort(-sizes, axis=1)[:, : effort.samples]
-        worst = self.points[best] * free
-        found = _Best(np.full(self.beats, -np.inf), np.zeros((self.beats, self.size)))
-        if free.all():
-            found.take(np.take_along_axis(sizes, best, axis=1), worst)
-        points = self._worst_of_fit(worst, own, free, form, effort)
-        values = _sizes(self.fly(points)[..., own], form)
-        found.take(values, points)
-        if effort.refinements:
-            starts = np.concatenate([found.point[:, None], points, worst], axis=1)[:, : 2 * effort.climbers - 1]
-            self._climb(found, starts, own, free, form, effort)
-        value = np.where(self.sound, found.value, np.inf)
-        return value, found.point
-
-    def _worst_of_fit(self, starts: Array, own: list[int], free: Mask, form: Array, effort: _Effort) -> Array:
-        """Worst points of the fitted maps, climbed to from given points and from principal directions: (b, s, k)."""
-        # measurement errors and wind, which are not curved, come last
-        curved = self.bends.shape[-1]
-        centre, bends = self.centre[:, None, own], self.bends[:, own] * np.outer(free, free)[:curved, :curved]
-        slopes = self.slopes[:, own] * free
-        vectors = np.linalg.eigh(np.swapaxes(slopes, 1, 2) @ form @ slopes)[1][..., : -1 - effort.directions : -1]
-        principal = support(self.over, np.swapaxes(vectors, 1, 2))
-        points = np.concatenate([starts, principal, -principal], axis=1)
-        flat = np.swapaxes(bends.reshape(self.beats, -1, curved), 1, 2)
-        for step in range(effort.steps + 1):
-            inner = points[..., :curved]
-            bent = (inner @ flat).reshape(*points.shape[:2], len(own), curved)
-            ends = centre + points @ np.swapaxes(slopes, 1, 2) + 0.5 * (bent @ inner[..., None])[..., 0]
-            if step == effort.steps:
-                break
-            ahead = ends @ form
-            gradient = ahead @ slopes
-            gradient[..., :curved] += (ahead[:, :, None, :] @ bent)[:, :, 0]
-            points = support(self.over, gradient)
-        best = np.argsort(-_sizes(ends, form), axis=1)[:, : effort.flown]
-        return np.asarray(np.take_along_axis(points, best[..., None], axis=1))
-
-    def _climb(self, found: _Best, points: Array, own: list[int], free: Mask, form: Array, effort: _Effort) -> None:
-        """Climb from points (b, s, k) along local slopes of the true map."""
-        for _ in range(effort.refinements):
-            end, slopes = self._local(points, own, free, free if effort.climbers > 1 else free & self.curved)
-            best = _sizes(end, form)
-            for _ in range(_LOCAL_STEPS):
-                ahead = support(self.over, np.einsum("bsn,bnm,bsmk->bsk", end, form, slopes, optimize=True))
-                end = self.fly(ahead)[..., own]
-                values = _sizes(end, form)
-                found.take(values, ahead)
-                points = np.where((values > best)[..., None], ahead, points)
-                best = np.maximum(values, best)
-
-    def _local(self, points: Array, own: list[int], free: Mask, differenced: Mask) -> tuple[Array, Array]:
-        """Values (b, s, n) and slopes (b, s, n, k), over short steps inwards, of the map at points (b, s, k).
-
-        In variables that are not differenced they are the fitted ones.
-        """
-        axes = np.flatnonzero(differenced)
-        reach = np.where(points > 0.0, -_LOCAL, _LOCAL)[..., axes]
-        moved = np.repeat(points[:, :, None], len(axes) + 1, axis=2)
-        moved[:, :, np.arange(len(axes)), axes] += reach
-        ends = self.fly(moved.reshape(self.beats, -1, self.size)).reshape(*moved.shape[:3], 8)[..., own]
-        slopes = np.repeat((self.slopes[:, own] * free)[:, None], points.shape[1], axis=1)
-        slopes[..., axes] = np.swapaxes((ends[:, :, :-1] - ends[:, :, -1:]) / reach[..., None], 2, 3)
-        return ends[:, :, -1], slopes
-
-
-class _Best:
-    """The worst point so far of each beat."""
-
-    def __init__(self, value: Array, point: Array) -> None:
-        self.value, self.point = value, point
-
-    def take(self, values: Array, points: Array) -> None:
-        """Keep what is worse among points (b, u, k); a value that is not finite is the worst."""
-        values = np.where(np.isfinite(values), values, np.inf)
-        best = np.argmax(values, axis=1)
-        rows = np.arange(len(values))
-        better = values[rows, best] > self.value
-        self.value = np.where(better, values[rows, best], self.value)
-        self.point = np.where(better[:, None], points[rows, best], self.point)
-
-
-def _sizes(ends: Array, form: Array) -> Array:
-    return np.asarray(np.sum((ends @ form) * ends, axis=-1))
+    every = np.ones(search.size, dtype=bool)
+    pairs = list(zip(parts, forms, strict=True))
+    found = search.together([search.task(part.errors, form, every) for part, form in pairs])
+    moved = [point[:, None] * _off_extremes(search) for _, point in found]
+    ends = np.split(search.fly(np.concatenate(moved, axis=1)), len(parts), axis=1)
+    out = [
+        np.maximum(value, sizes_of(end[..., list(part.errors)], form).max(axis=1))
+        for (part, form), (value, _), end in zip(pairs, found, ends, strict=True)
+    ]
+    return np.asarray(FACTOR * np.nan_to_num(np.stack(out, axis=1), nan=np.inf))
 
 
 def bound(search: Search, part: Part, form: Array, polynomial: Array) -> Bound:
@@ -344,13 +123,18 @@ def _levels(over: BeatSet, part: Part) -> list[Mask | None]:
 
 def _inside(search: Search, point: Array, own: list[int], form: Array) -> Array:
     """Largest size at points (b, k) with the parameters moved off their extremes."""
+    ends = search.fly(point[:, None] * _off_extremes(search))
+    return np.asarray(sizes_of(ends[..., own], form).max(axis=1))
+
+
+def _off_extremes(search: Search) -> Array:
+    """Factors (3, k) that move the parameters off their extremes."""
     over = search.over
     pairs = zip(over.names, over.balls, strict=True)
     known = np.array([" " not in name and size == 1 for name, size in pairs])
-    parameters = np.repeat(known, over.balls)
     shrink = np.ones((3, search.size))
-    shrink[:, parameters] = np.array([[-0.5], [0.0], [0.5]])
-    return np.asarray(_sizes(search.fly(point[:, None] * shrink)[..., own], form).max(axis=1))
+    shrink[:, np.repeat(known, over.balls)] = np.array([[-0.5], [0.0], [0.5]])
+    return shrink
 
 
 def _terminal_shape(search: Search, own: list[int]) -> Array:
@@ -393,6 +177,6 @@ def with_control(given: Bound, search: Search, flat: Search, part: Part, form: A
     z = search.points[:, first]
     bends = (search.bends[:, :, first, first] - flat.bends[:, :, first, first])[:, own]
     bent = 0.5 * np.einsum("bnij,ui,uj->bun", bends, z, z, optimize=True)
-    norm = np.sqrt(_sizes(bent, form).max(axis=1))
+    norm = np.sqrt(sizes_of(bent, form).max(axis=1))
     root = np.sqrt(np.where(np.isfinite(polynomial), polynomial, 0.0))
     return replace(given, control=root**2 - np.maximum(root - norm, 0.0) ** 2)

@@ -12,12 +12,12 @@ from aerotube import sos
 from aerotube.aircraft.base import Aircraft
 from aerotube.compensation import boundary, exact_map
 from aerotube.compensation.bounds import NONE, SHARES, Beyond, Bound
-from aerotube.compensation.certify import Work, rigorous_bounds, sampled_bounds
+from aerotube.compensation.certify import Work, rigorous_bounds, sampled_bounds, sampled_sizes
 from aerotube.compensation.closed_loop import BatchLaw, end_errors
 from aerotube.compensation.polynomial import deficit, enough, least_volume, size
-from aerotube.compensation.sampled import Sampling
 from aerotube.compensation.sets import InitialEllipsoid, initial_ellipsoid
 from aerotube.compensation.settings import Part, SynthesisSettings
+from aerotube.compensation.worst_points import Sampling
 from aerotube.dynamics import ErrorCoordinates
 from aerotube.nominal import Nominal
 from aerotube.tube import DisturbanceSet
@@ -139,19 +139,7 @@ def measure(
     chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
     wanted = settings.parts if parts is None else tuple(parts)
     forms = tuple(metric) if wanted == settings.parts else regrouped(metric, settings.parts, wanted)
-    work = Work(
-        aircraft=aircraft,
-        nominal=nominal,
-        disturbance=disturbance,
-        coordinates=law.coordinates,
-        beats=chosen,
-        parts=wanted,
-        metric=forms,
-        degree=max(settings.degree, 2 * settings.law_degree),
-        beyond=Beyond(settings.measurement_error, settings.gust, settings.gust_rotation),
-        sampling=Sampling(settings.samples, settings.confidence, settings.sample_seed),
-        workers=workers,
-    )
+    work = _work(aircraft, nominal, disturbance, law.coordinates, chosen, wanted, forms, settings, workers)
     initial = [initial_ellipsoid(disturbance, law.coordinates, nominal.states[chosen], part) for part in wanted]
     made = {}
     for name, flown in (("", law), ("nominal", None)):
@@ -189,6 +177,32 @@ def measure(
         messages=tuple(message for one in (*with_law, *without) for message in one.messages),
     )
     return tubes, tuple(one.polynomial.certificate for one in with_law)
+
+
+def _work(
+    aircraft: Aircraft,
+    nominal: Nominal,
+    disturbance: DisturbanceSet,
+    coordinates: ErrorCoordinates,
+    beats: NDArray[np.intp],
+    parts: tuple[Part, ...],
+    metric: tuple[Array, ...],
+    settings: SynthesisSettings,
+    workers: int,
+) -> Work:
+    return Work(
+        aircraft=aircraft,
+        nominal=nominal,
+        disturbance=disturbance,
+        coordinates=coordinates,
+        beats=beats,
+        parts=parts,
+        metric=metric,
+        degree=max(settings.degree, 2 * settings.law_degree),
+        beyond=Beyond(settings.measurement_error, settings.gust, settings.gust_rotation),
+        sampling=Sampling(settings.samples, settings.confidence, settings.sample_seed),
+        workers=workers,
+    )
 
 
 def regrouped(metric: Sequence[Array], given: Sequence[Part], wanted: Sequence[Part]) -> tuple[Array, ...]:
@@ -238,6 +252,56 @@ def certified_size(
         found = sos.solve(structure, problem, backend=settings.backend, workers=workers, tolerance=1e-4)
         sizes.append((found["rho"] + 1.01 * np.maximum(deficit(found), 0.0) + 1e-14) * unit)
     return np.stack(sizes, axis=1)
+
+
+def flown_size(
+    aircraft: Aircraft,
+    nominal: Nominal,
+    disturbance: DisturbanceSet,
+    law: BatchLaw | None,
+    metric: Sequence[Array],
+    settings: SynthesisSettings,
+    *,
+    beats: range | NDArray[np.intp] | None = None,
+    workers: int = 1,
+) -> tuple[Array, NDArray[np.str_]]:
+    """Sizes of the tubes with a law, and what stands behind them: as much of :func:`measure` as a flight has time for.
+
+    Parameters
+    ----------
+    law : BatchLaw or None
+        None: the nominal controls alone.
+    settings : SynthesisSettings
+        Where they ask for tubes of the polynomials only, these are given. Otherwise the sizes are sampled (rigorous
+        ones take too long), on as many samples and by the same search and margin as in :func:`measure`, but the
+        polynomials' programs are not solved; only where a sample's flight was not finite, a polynomial's size stands
+        in.
+
+    Returns
+    -------
+    size : ndarray (b, parts)
+        NaN where there is none. The other arguments are those of :func:`measure`.
+    certificate : ndarray (b, parts) of str
+        "sampled", "polynomial only" or "none".
+    """
+    chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
+    coordinates = ErrorCoordinates(settings.attitude) if law is None else law.coordinates
+    size = np.full((len(chosen), len(settings.parts)), np.inf)
+    if settings.certificate != "polynomial only":
+        forms = tuple(metric)
+        work = _work(aircraft, nominal, disturbance, coordinates, chosen, settings.parts, forms, settings, workers)
+        size = sampled_sizes(work, law)
+    kind = np.where(np.isfinite(size), "sampled", NONE).astype("<U15")
+    rows = np.flatnonzero(~np.isfinite(size).all(1))
+    if len(rows):
+        forms = tuple(form[rows] for form in metric)
+        instead = certified_size(
+            aircraft, nominal, disturbance, law, forms, settings, beats=chosen[rows], workers=workers
+        )
+        missing = ~np.isfinite(size[rows])
+        size[rows] = np.where(missing, instead, size[rows])
+        kind[rows] = np.where(missing, np.where(np.isfinite(instead), "polynomial only", NONE), kind[rows])
+    return size, kind
 
 
 class _Measured:

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from aerotube.aircraft.rigid_body import flow_angles, velocity_from_flow
 from aerotube.dynamics.components import Components, join, split
+from aerotube.dynamics.error_kernels import largest_tilts
 from aerotube.errors import InputError
 from aerotube.numerics import attitude
 
@@ -172,12 +173,12 @@ class ErrorCoordinates:
             np.expand_dims(pitch, -1) + half_widths[3] * edge[:, 0],
             np.expand_dims(yaw, -1),
         )
-        state = np.broadcast_to(nominal[..., None, :], (*nominal.shape[:-1], len(edge), nominal.shape[-1])).copy()
-        for i in range(4):
-            state[..., 3 + i] = quaternion[i]
-        tilt = self.difference(state, nominal[..., None, :])
-        for i in (3, 7):
-            widths[..., i] = np.maximum(np.abs(tilt[..., i]).max(-1) * (1 + 1e-3), 0.1 * half_widths[i])
+        turns = np.ascontiguousarray(np.stack(np.broadcast_arrays(*quaternion), axis=-1))
+        largest = np.empty((*nominal.shape[:-1], 2))
+        flat = np.ascontiguousarray(nominal.reshape(-1, nominal.shape[-1]))
+        largest_tilts(flat, turns.reshape(len(flat), -1, 4), largest.reshape(-1, 2))
+        for column, i in enumerate((3, 7)):
+            widths[..., i] = np.maximum(largest[..., column] * (1 + 1e-3), 0.1 * half_widths[i])
         return widths
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from aerotube.aircraft.base import Aircraft
 from aerotube.dynamics.enclosure import BeatSet
+from aerotube.dynamics.error_kernels import difference_each, moved_each
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.dynamics.step import step
 
@@ -59,29 +60,35 @@ def flown_map(
         Not finite where the flight is not.
     """
     beats = np.asarray(beats)
-    rows = points.shape[:2]
-    before, after = nominal.states[beats][:, None], nominal.states[beats + 1][:, None]
-    held = np.broadcast_to(nominal.controls[beats][:, None], (*rows, nominal.controls.shape[1]))
+    before, after = nominal.states[beats], nominal.states[beats + 1]
+    relative = coordinates.kind == "relative"
 
     def image(matrix: Array) -> Array:
         return np.asarray(points @ np.swapaxes(matrix, -1, -2))
 
+    def states(error: Array) -> Array:
+        return moved_each(before, error) if relative else coordinates.retract(before[:, None], error)
+
     error = image(over.error)
-    start = coordinates.retract(before, error)
+    start, held = states(error), np.repeat(nominal.controls[beats][:, None], points.shape[1], axis=1)
     if law is not None:
         measured, seen = error, start
         if over.measurement is not None:
             measured = error + image(over.measurement)
-            seen = coordinates.retract(before, measured)
-        held = aircraft.realise(seen, held, law.increments(beats, measured))
+            seen = states(measured)
+        held = _realised(aircraft, seen, held, law.increments(beats, measured))
     sigma = over.parameters + image(over.parameter_reach)
-    air = np.zeros((*rows, 6)) if over.wind is None else image(over.wind)
-    quick = aircraft.compiled_step()
+    air = None if over.wind is None else image(over.wind)
+    end = step(aircraft, start, held, nominal.dt, parameters=sigma, wind=air)
+    return difference_each(end, after, relative)
+
+
+def _realised(aircraft: Aircraft, seen: Array, control: Array, increment: Array) -> Array:
+    quick = aircraft.compiled_realise()
     if quick is None:
-        end = step(aircraft, start, held, nominal.dt, parameters=sigma, wind=air)
-    else:
-        states, controls, parameters, wind = (
-            np.ascontiguousarray(part.reshape(rows[0] * rows[1], -1)) for part in (start, held, sigma, air)
-        )
-        end = quick(states, controls, parameters, wind, nominal.dt, 1).reshape(*rows, -1)
-    return coordinates.difference(end, after)
+        return aircraft.realise(seen, control, increment)
+    states, controls, moves = (
+        np.ascontiguousarray(part).reshape(-1, part.shape[-1]) for part in (seen, control, increment)
+    )
+    moved = np.clip(quick(states, controls, moves), aircraft.control_lower, aircraft.control_upper)
+    return np.asarray(moved.reshape(control.shape))

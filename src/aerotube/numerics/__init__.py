@@ -12,8 +12,9 @@ from aerotube.numerics.attitude import (
     quaternion_rates,
     wrap_angle,
 )
+from aerotube.numerics.borrowed import borrowed
 from aerotube.numerics.interval import Interval
-from aerotube.numerics.lookup import lookup1, lookup2
+from aerotube.numerics.lookup import entry, lookup1, lookup2
 from aerotube.numerics.select import select
 from aerotube.numerics.tables import Table1, Table2, stack1, stack2, table1, table2
 from aerotube.numerics.taylor import Taylor, TaylorSpace
@@ -28,7 +29,9 @@ __all__ = [
     "TaylorModel",
     "TaylorSpace",
     "body_to_earth",
+    "borrowed",
     "earth_to_body",
+    "entry",
     "euler_from_quaternion",
     "lookup1",
     "lookup2",

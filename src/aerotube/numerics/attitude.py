@@ -17,7 +17,7 @@ from numba.extending import register_jitable
 Components = tuple[Any, ...]
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def quaternion_from_euler(roll: Any, pitch: Any, yaw: Any) -> Components:
     """Quaternion of a roll, pitch and yaw angle (rad)."""
     cr, sr = np.cos(0.5 * roll), np.sin(0.5 * roll)
@@ -31,13 +31,13 @@ def quaternion_from_euler(roll: Any, pitch: Any, yaw: Any) -> Components:
     )
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def wrap_angle(angle: Any) -> Any:
     """The angle (rad) less the whole turns that bring it into [-pi, pi]."""
     return angle - 2.0 * np.pi * np.rint(angle / (2.0 * np.pi))
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def euler_from_quaternion(quaternion: Components) -> Components:
     """Roll, pitch and yaw angle (rad) of a quaternion of any non-zero length.
 
@@ -56,7 +56,7 @@ def euler_from_quaternion(quaternion: Components) -> Components:
     return wrap_angle(half_sum - half_difference), pitch, wrap_angle(half_sum + half_difference)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def quaternion_product(first: Components, second: Components) -> Components:
     """Product: the rotation `second` (inner axes) followed by `first` (outer axes)."""
     a0, a1, a2, a3 = first
@@ -69,14 +69,14 @@ def quaternion_product(first: Components, second: Components) -> Components:
     )
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def quaternion_conjugate(quaternion: Components) -> Components:
     """Conjugate: the inverse rotation of a unit quaternion."""
     q0, q1, q2, q3 = quaternion
     return q0, -q1, -q2, -q3
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def normalise(quaternion: Components) -> Components:
     """The quaternion divided by its length."""
     q0, q1, q2, q3 = quaternion
@@ -84,7 +84,7 @@ def normalise(quaternion: Components) -> Components:
     return q0 * scale, q1 * scale, q2 * scale, q3 * scale
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def body_to_earth(quaternion: Components, vector: Components) -> Components:
     """North, east and down components of a vector given in body axes."""
     q0, q1, q2, q3 = quaternion
@@ -98,13 +98,13 @@ def body_to_earth(quaternion: Components, vector: Components) -> Components:
     )
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def earth_to_body(quaternion: Components, vector: Components) -> Components:
     """Body components of a vector given by its north, east and down components."""
     return body_to_earth(quaternion_conjugate(quaternion), vector)
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def quaternion_rates(quaternion: Components, rotation: Components) -> Components:
     """Time derivative (1/s) of a quaternion that turns at the body rates p, q, r (rad/s)."""
     q0, q1, q2, q3 = quaternion

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba.core import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
 from aerotube.numerics.table_enclosures import enclose1, enclose2
-from aerotube.numerics.table_kernels import evaluate1, evaluate2, expand1, expand2, point1, point2
+from aerotube.numerics.table_kernels import evaluate1, evaluate2, expand1, expand2, locate1, locate2, value1, value2
 from aerotube.numerics.tables import Table1, Table2
 from aerotube.numerics.taylor import Taylor
 from aerotube.numerics.taylor_model import TaylorModel
@@ -64,12 +65,36 @@ def lookup2(table: Table2, x: Any, y: Any) -> Any:
     return values.reshape(values.shape[:1] + first.shape)
 
 
+def entry(values: Any, output: int) -> Any:
+    """One output of what `lookup1` or `lookup2` gives; in compiled code it is read only here."""
+    return values[output]
+
+
+class Cell1(NamedTuple):
+    """What `lookup1` gives in compiled code: where to read, and nothing that would have to be allocated."""
+
+    data: Array
+    start: int
+    powers: int
+    x: float
+
+
+class Cell2(NamedTuple):
+    """The same of `lookup2`."""
+
+    data: Array
+    start: int
+    powers_x: int
+    powers_y: int
+    x: float
+    y: float
+
+
 @overload(lookup1)
 def _lookup1_compiled(table: Any, x: Any) -> Any:
     def lookup(table: Any, x: Any) -> Any:
-        values = np.empty(table.outputs)
-        point1(table, x, values)
-        return values
+        start, local = locate1(table, x)
+        return Cell1(table.data, start, table.powers, local)
 
     return lookup
 
@@ -77,11 +102,29 @@ def _lookup1_compiled(table: Any, x: Any) -> Any:
 @overload(lookup2)
 def _lookup2_compiled(table: Any, x: Any, y: Any) -> Any:
     def lookup(table: Any, x: Any, y: Any) -> Any:
-        values = np.empty(table.outputs)
-        point2(table, x, y, values)
-        return values
+        start, local_x, local_y = locate2(table, x, y)
+        return Cell2(table.data, start, table.powers_x, table.powers_y, local_x, local_y)
 
     return lookup
+
+
+@overload(entry)
+def _entry_compiled(values: Any, output: Any) -> Any:
+    if not isinstance(values, types.NamedTuple):
+        return None
+    if values.instance_class is Cell1:
+
+        def read(values: Any, output: Any) -> Any:
+            return value1(values.data, values.start, values.powers, output, values.x)
+
+        return read
+    if values.instance_class is Cell2:
+
+        def read_plane(values: Any, output: Any) -> Any:
+            return value2(values.data, values.start, values.powers_x, values.powers_y, output, values.x, values.y)
+
+        return read_plane
+    return None
 
 
 def _flat(points: Array) -> Array:

@@ -53,48 +53,47 @@ def locate2(table: Table2, x: float, y: float) -> tuple[int, float, float]:
 
 
 @njit(cache=True, nogil=True)
-def point1(table: Table1, x: float, values: Array) -> None:
-    """Write the outputs (outputs,) at one point."""
-    data, powers = table.data, table.powers
-    start, local = locate1(table, x)
-    for output in range(table.outputs):
-        last = start + (output + 1) * powers - 1
-        value = data[last]
-        for power in range(1, powers):
-            value = value * local + data[last - power]
-        values[output] = value
+def value1(data: Array, start: int, powers: int, output: int, x: float) -> float:
+    """One output of the cell whose coefficients start there, x relative to its origin."""
+    last = start + (output + 1) * powers - 1
+    value = data[last]
+    for power in range(1, powers):
+        value = value * x + data[last - power]
+    return value
 
 
 @njit(cache=True, nogil=True)
-def point2(table: Table2, x: float, y: float, values: Array) -> None:
-    """Write the outputs (outputs,) at one point."""
-    data, powers_x, powers_y = table.data, table.powers_x, table.powers_y
-    start, local_x, local_y = locate2(table, x, y)
-    last = start - 1
-    for output in range(table.outputs):
-        last += powers_x * powers_y
-        value = 0.0
-        for i in range(powers_x):
-            row = last - i * powers_y
-            inner = data[row]
-            for j in range(1, powers_y):
-                inner = inner * local_y + data[row - j]
-            value = value * local_x + inner
-        values[output] = value
+def value2(data: Array, start: int, powers_x: int, powers_y: int, output: int, x: float, y: float) -> float:
+    """One output of the cell whose coefficients start there, x and y relative to its origin."""
+    last = start - 1 + (output + 1) * powers_x * powers_y
+    value = 0.0
+    for i in range(powers_x):
+        row = last - i * powers_y
+        inner = data[row]
+        for j in range(1, powers_y):
+            inner = inner * y + data[row - j]
+        value = value * x + inner
+    return value
 
 
 @njit(cache=True, nogil=True)
 def evaluate1(table: Table1, x: Array, values: Array) -> None:
     """Write the outputs (outputs, points) at the points x (points,)."""
+    data, powers = table.data, table.powers
     for point in range(x.size):
-        point1(table, x[point], values[:, point])
+        start, local = locate1(table, x[point])
+        for output in range(table.outputs):
+            values[output, point] = value1(data, start, powers, output, local)
 
 
 @njit(cache=True, nogil=True)
 def evaluate2(table: Table2, x: Array, y: Array, values: Array) -> None:
     """Write the outputs (outputs, points) at the points (x, y), each (points,)."""
+    data, powers_x, powers_y = table.data, table.powers_x, table.powers_y
     for point in range(x.size):
-        point2(table, x[point], y[point], values[:, point])
+        start, local_x, local_y = locate2(table, x[point], y[point])
+        for output in range(table.outputs):
+            values[output, point] = value2(data, start, powers_x, powers_y, output, local_x, local_y)
 
 
 @njit(cache=True, nogil=True)

@@ -14,6 +14,7 @@ from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.dynamics.step import step
 from aerotube.flight.estimator import Estimate, ExtendedKalmanFilter
 from aerotube.runtime.kernels import clamp, corrected, increments, plausible
+from aerotube.runtime.law import Form, Laws
 from aerotube.runtime.messages import Rung
 
 Array = NDArray[np.float64]
@@ -37,8 +38,8 @@ class Beat:
     ----------
     nominal_state : ndarray (n,)
     nominal_control : ndarray (4,)
-    gains : ndarray (4, 8)
-        From the error to increments of the virtual controls.
+    law : Laws
+        Of the one beat.
     rung : Rung
         What stands behind them: the worst of the parts.
     next_state : ndarray (n,)
@@ -47,7 +48,7 @@ class Beat:
 
     nominal_state: Array
     nominal_control: Array
-    gains: Array
+    law: Laws
     rung: Rung
     next_state: Array
 
@@ -86,6 +87,8 @@ class Commander:
     dt : float
         Length of a beat, s.
     estimator : ExtendedKalmanFilter, optional
+    form : Form
+        Of the laws.
     gate : ndarray (8,)
         A measurement further than this from what was expected is not believed, unless three in a row are.
     stale : int
@@ -98,6 +101,7 @@ class Commander:
         coordinates: ErrorCoordinates,
         dt: float,
         estimator: ExtendedKalmanFilter | None,
+        form: Form,
         gate: Array,
         stale: int = 5,
     ) -> None:
@@ -109,6 +113,7 @@ class Commander:
         self._realise = aircraft.compiled_realise()
         self._parameters = np.asarray(aircraft.parameter_nominal, dtype=float)
         self._still = np.zeros(6)
+        self._factors, self._part_of = form.factors, form.part_of
         self.begin()
 
     def begin(self) -> None:
@@ -155,13 +160,23 @@ class Commander:
         if self.estimator is not None and self._estimate is not None:
             state = self._corrected(number, state, measured is not None)
         self._state = state
-        error, increment = increments(beat.gains, state, beat.nominal_state, self._relative)
+        law = beat.law
+        error, increment = increments(
+            law.coefficients,
+            law.room,
+            law.reach,
+            self._factors,
+            self._part_of,
+            state,
+            beat.nominal_state,
+            self._relative,
+        )
         if not np.isfinite(increment).all():
             return self._alone(beat, source)
         if self._realise is None:
             control = self.aircraft.realise(state, beat.nominal_control, increment)
         else:
-            control = self._realise(state, beat.nominal_control, increment)
+            control = self._realise(state[None], beat.nominal_control[None], increment[None])[0]
         control, clamped = clamp(control, beat.nominal_control, increment, self._low, self._high)
         return Command(control, error, beat.rung, source, clamped)
 

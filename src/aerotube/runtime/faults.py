@@ -110,21 +110,24 @@ class FaultyChannel:
 
     def receive(self, timeout: float) -> bytes | None:
         """Wait for a datagram, of the aircraft or of the faults."""
-        if self._ready:
-            return self._ready.popleft()
-        data = self._inner.receive(timeout)
-        if data is None:
-            return None
-        try:
-            message = decode(data)
-        except Refused:
-            return data
-        if message.kind != Kind.MEASUREMENT:
-            return data
-        self._hit(data, message)
-        while self._late and self._late[0][0] <= message.beat:
-            self._ready.append(self._late.popleft()[1])
-        return self._ready.popleft() if self._ready else None
+        until = time.monotonic() + timeout
+        while not self._ready:
+            data = self._inner.receive(max(until - time.monotonic(), 0.0))
+            if data is None:
+                return None
+            try:
+                message = decode(data)
+            except Refused:
+                return data
+            if message.kind != Kind.MEASUREMENT:
+                return data
+            self._hit(data, message)
+            while self._late and self._late[0][0] <= message.beat:
+                self._ready.append(self._late.popleft()[1])
+            # one that was taken away has not come: there is still time for the next
+            if not self._ready and time.monotonic() >= until:
+                return None
+        return self._ready.popleft()
 
     def close(self) -> None:
         """Close the channel beneath."""

@@ -4,131 +4,40 @@ from __future__ import annotations
 
 import gc
 import multiprocessing
-import secrets
 import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from aerotube import flight
-from aerotube.dynamics.errors import ErrorCoordinates
-from aerotube.errors import ComputationError, InputError
-from aerotube.preparation import Prepared, drawn_parameters, estimated_parameters
+from aerotube.errors import ComputationError
+from aerotube.preparation import Prepared
 from aerotube.runtime import plant as plants
+from aerotube.runtime.alone import fly_alone
 from aerotube.runtime.channels import Channel, QueueChannel, SocketChannel
 from aerotube.runtime.commander import Beat, Commander
 from aerotube.runtime.faults import Faults, FaultyChannel
 from aerotube.runtime.guidance import Guidance
+from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Rung
+from aerotube.runtime.options import Options, make_commander, make_estimator, make_task, make_world
 from aerotube.runtime.pilot import Pilot
-from aerotube.runtime.plant import Actuators, Truth, World
+from aerotube.runtime.plant import Truth, World
 from aerotube.runtime.record import Record
 from aerotube.runtime.session import Session
+from aerotube.runtime.task import Task
 from aerotube.runtime.watchdog import Watchdog
-from aerotube.runtime.windows import Task, compute
+from aerotube.runtime.windows import compute
 from aerotube.runtime.workers import Workers
 
 Array = NDArray[np.float64]
 
-#: The paper's runtime case (its Section 4.6): 3 m/s too slow, 0.3 degrees of sideslip, everything else on the nominal.
-PAPER_DEVIATION = np.array([-3.0, 0.0, 0.0, 0.0, np.radians(0.3), 0.0, 0.0, 0.0])
-_GATE = 20.0  # half-widths of the disturbance from what was expected, beyond which no measurement is believed
 _SWITCH = 2e-4  # s after which a thread lets another one run: the controller must not wait for a worker
-
-
-@dataclass(frozen=True)
-class Options:
-    """What is asked of a flight, beside its scenario.
-
-    Attributes
-    ----------
-    speed : float
-        Seconds of flight for one of the clock; infinite: no clock, everything waits for everything.
-    duration : float or None
-        s of flight; the manoeuvre is repeated, the last one flown to its end. None: once.
-    window : int
-        Beats of a window; 1 solves each beat during the beat before it ("on demand").
-    reuse : int
-        Beats that a law serves beyond its own.
-    estimator : bool
-    noise : float or None
-        Sensor noise as a share of the disturbance box; the scenario's by default.
-    deviation : {"paper", "box"}
-        Initial error of every manoeuvre: the paper's, or drawn from the box with a mass error.
-    gusts : str or None
-        Severity, or "none"; the scenario's by default.
-    delay : int
-        Whole beats from a command to its effect.
-    actuators : bool
-        Lags and rate limits of the surfaces.
-    replan : float
-        Share of the controls' travel by which the nominal is moved at every window.
-    tolerance : float or None
-        Event-triggered recomputation: see `aerotube.runtime.windows`.
-    faults : int
-        Faults of link and sensors to inject, and of workers with them.
-    seed : int
-        Of draws, faults and guidance.
-    workers : int
-        Threads that solve.
-    link : {"local", "udp", "thread"}
-        Sockets between two processes, UDP on loopback between them, or a queue and a thread in this process.
-    port : int or None
-        Wait at this UDP port for an aircraft of somebody else's, instead of flying one's own.
-    substeps : int
-        Steps of the aircraft in a beat.
-    around : float
-        s before and after a window that the forecast looks at.
-    """
-
-    speed: float = 1.0
-    duration: float | None = None
-    window: int = 16
-    reuse: int = 0
-    estimator: bool = False
-    noise: float | None = None
-    deviation: Literal["paper", "box"] = "paper"
-    gusts: str | None = None
-    delay: int = 0
-    actuators: bool = False
-    replan: float = 0.0
-    tolerance: float | None = None
-    faults: int = 0
-    seed: int = 1
-    workers: int = 2
-    link: Literal["local", "udp", "thread"] = "local"
-    port: int | None = None
-    substeps: int = 5
-    around: float = 3.0
-
-    def __post_init__(self) -> None:
-        wrong = ""
-        if not self.speed > 0:
-            wrong = f"speed is {self.speed:g}; give how many seconds are flown in one second, or inf"
-        elif self.duration is not None and not (np.isfinite(self.duration) and self.duration > 0):
-            wrong = f"duration is {self.duration:g} s; give a positive time"
-        elif self.window < 1 or self.reuse < 0 or self.delay < 0 or self.workers < 1 or self.substeps < 1:
-            wrong = "window, workers and substeps must be at least 1, reuse and delay not negative"
-        elif self.window % (self.reuse + 1):
-            wrong = f"a window of {self.window} beats is no whole number of laws for {self.reuse + 1} beats each"
-        elif self.faults and not np.isfinite(self.speed):
-            wrong = "faults need a clock; choose a speed"
-        elif self.faults < 0:
-            wrong = f"{self.faults} faults are asked for; give none or more"
-        elif self.tolerance is not None and not self.tolerance >= 0:
-            wrong = f"the tolerance is {self.tolerance:g}; it must not be negative"
-        elif self.noise is not None and not (np.isfinite(self.noise) and self.noise >= 0):
-            wrong = f"noise is {self.noise:g}; give a share of the disturbance box, not negative"
-        elif self.port is not None and not 1 <= self.port <= 65535:
-            wrong = f"there is no port {self.port}; give one from 1 to 65535"
-        if wrong:
-            raise InputError(f"flight: {wrong}.")
 
 
 @dataclass(frozen=True)
@@ -204,7 +113,7 @@ def fly(
     world, task = make_world(prepared, options), make_task(prepared, options)
     guidance = Guidance(prepared.rigid, prepared.nominal, options.replan, options.seed)
     estimator = make_estimator(prepared, options)
-    commander = make_commander(prepared, estimator)
+    commander = make_commander(prepared, estimator, task.form)
     beats = world.manoeuvres * world.beats
     say("starting the aircraft and the watchdog")
     own = options.port is None
@@ -238,93 +147,12 @@ def fly(
         workers.close()
         truth = _home(process, report, session) if own else None
         thefts = watchdog.stop() if watchdog is not None else np.empty((0, 3))
+        pilot.record.events += [(time.monotonic(), words) for words in (watchdog.troubles if watchdog else [])]
         home.close()
     alone = None if truth is None or not truth.flown_manoeuvres else fly_alone(world, truth, pilot.record)
     return Flown(
         options, prepared, pilot.record, world, truth, alone, faults, thefts, warm_up, first_window, world.token
     )
-
-
-def make_world(prepared: Prepared, options: Options) -> World:
-    """What the aircraft will meet."""
-    nominal, chosen = prepared.nominal, prepared.source.scenario
-    seconds = nominal.beats * nominal.dt
-    runs = max(1, int(np.ceil((options.duration or seconds) / seconds - 1e-9)))
-    share = 1.0 if options.deviation == "box" else 0.0
-    uncertain = drawn_parameters(chosen.disturbance, prepared.plant, share)
-    draws = flight.draw(chosen.disturbance.half_widths, [options.seed], runs, **uncertain)
-    if options.deviation == "paper":
-        draws = replace(draws, initial_error=np.tile(PAPER_DEVIATION, (runs, 1)))
-    gusts = prepared.gusts
-    if options.gusts is not None:
-        gusts = None
-        if options.gusts != "none":
-            from aerotube.aircraft.f16_aerodynamics import SPAN
-
-            start = nominal.states[0]
-            severity: Any = options.gusts
-            gusts = flight.Dryden(severity, float(start[12]), float(np.linalg.norm(start[:3])), SPAN)
-    settled = prepared.plant.settled(tuple(nominal.controls[0]))
-    return World(
-        aircraft=prepared.plant,
-        start=np.concatenate([nominal.states[0][:13], np.array(settled, dtype=float)]),
-        controls=nominal.controls,
-        dt=nominal.dt,
-        draws=draws,
-        noise=_noise(prepared, options),
-        gusts=gusts,
-        actuators=Actuators() if options.actuators else None,
-        delay=options.delay,
-        substeps=options.substeps,
-        speed=options.speed,
-        token=secrets.randbits(64),
-    )
-
-
-def make_task(prepared: Prepared, options: Options) -> Task:
-    """What every window is computed from; the noisy setting of the synthesis where the law sees noise."""
-    noisy = _noise(prepared, options) > 0 and not options.estimator
-    settings = replace(prepared.settings["noise" if noisy else "noise_free"], reuse=options.reuse)
-    if settings.saturation != 1.0:
-        raise InputError("flight: laws that saturate are not flown against the clock; set saturation = 1.")
-    if settings.law_degree > 1:
-        raise InputError(
-            f"flight: laws of degree {settings.law_degree} are not flown against the clock; set law_degree = 1."
-        )
-    return Task(
-        aircraft=prepared.model,
-        disturbance=prepared.disturbance,
-        settings=settings,
-        window=options.window,
-        around=max(1, round(options.around / prepared.nominal.dt)),
-        tolerance=options.tolerance,
-        workers=options.workers,
-    )
-
-
-def make_estimator(prepared: Prepared, options: Options) -> flight.ExtendedKalmanFilter | None:
-    """The estimator, if it is asked for."""
-    if not options.estimator:
-        return None
-    disturbance = prepared.source.scenario.disturbance
-    return flight.extended_kalman_filter(
-        prepared.rigid,
-        prepared.nominal,
-        disturbance.half_widths,
-        _noise(prepared, options),
-        **estimated_parameters(disturbance),
-    )
-
-
-def make_commander(prepared: Prepared, estimator: flight.ExtendedKalmanFilter | None) -> Commander:
-    """From measurements to commands."""
-    coordinates = ErrorCoordinates(prepared.settings["noise"].attitude)
-    gate = _GATE * np.asarray(prepared.disturbance.half_widths)
-    return Commander(prepared.plant, coordinates, prepared.nominal.dt, estimator, gate)
-
-
-def _noise(prepared: Prepared, options: Options) -> float:
-    return prepared.source.scenario.flight.noise if options.noise is None else options.noise
 
 
 def _faults(options: Options, world: World) -> Faults | None:
@@ -368,7 +196,8 @@ def _warm_up(prepared: Prepared, commander: Commander, task: Task) -> float:
     start = np.concatenate([nominal.states[0][:13], np.zeros(len(state) - 13)])
     if len(state) > 13:
         start[13:] = commander.aircraft.settled(tuple(nominal.controls[0]))
-    beat = Beat(nominal.states[0], nominal.controls[0], np.zeros((4, 8)), Rung.NOMINAL, nominal.states[1])
+    law = Laws.none(task.form, 1)[0]
+    beat = Beat(nominal.states[0], nominal.controls[0], law, Rung.NOMINAL, nominal.states[1])
     commander.begin()
     for _ in range(3):
         commander.believes(start, beat)
@@ -421,48 +250,3 @@ def _home(process: Any, report: Any, session: Session) -> Truth | None:
     if isinstance(process, multiprocessing.process.BaseProcess) and process.is_alive():
         process.terminate()
     return truth
-
-
-def fly_alone(world: World, truth: Truth, record: Record) -> Array:
-    """The same manoeuvres, wind and parameters on the nominal controls alone: errors (manoeuvre, T + 1, 8)."""
-    from aerotube.dynamics.errors import euler_error
-    from aerotube.dynamics.step import step
-
-    runs, beats = truth.flown_manoeuvres, world.beats
-    nominal = nominal_of(record.nominal_state, record.nominal_end, runs, beats)
-    controls = record.nominal_control[: runs * beats].reshape(runs, beats, 4)
-    state = ErrorCoordinates("euler").retract(world.start, world.draws.initial_error[:runs])
-    out = np.empty((runs, beats + 1, 8))
-    out[:, 0] = euler_error(state, nominal[:, 0])
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        for k in range(beats):
-            state = step(
-                world.aircraft,
-                state,
-                controls[:, k],
-                world.dt,
-                parameters=truth.parameters,
-                wind=truth.wind[:, k],
-                substeps=world.substeps,
-            )
-            out[:, k + 1] = euler_error(state, nominal[:, k + 1])
-    return out
-
-
-def nominal_of(state: Array, end: Array, manoeuvres: int, beats: int) -> Array:
-    """The nominal as it was flown, of whole manoeuvres.
-
-    Parameters
-    ----------
-    state, end : ndarray (g, 13)
-        At the start and at the end of every beat.
-    manoeuvres, beats : int
-
-    Returns
-    -------
-    ndarray (manoeuvre, T + 1, 13)
-    """
-    count = manoeuvres * beats
-    first = state[:count].reshape(manoeuvres, beats, -1)
-    last = end[:count].reshape(manoeuvres, beats, -1)
-    return np.concatenate([first, last[:, -1:]], axis=1)

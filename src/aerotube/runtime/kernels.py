@@ -1,4 +1,4 @@
-"""The error of one state from the nominal, compiled: the same numbers as `ErrorCoordinates`, in a microsecond."""
+"""What is done in every beat, compiled."""
 
 from __future__ import annotations
 
@@ -6,70 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from aerotube.aircraft.rigid_body import flow_angles, velocity_from_flow
-from aerotube.numerics import quaternion_product
+from aerotube.dynamics.error_kernels import difference, moved
 
 Array = NDArray[np.float64]
-
-
-@njit(cache=True)
-def _down(q0: float, q1: float, q2: float, q3: float) -> tuple[float, float, float]:
-    return 2.0 * (q1 * q3 - q0 * q2), 2.0 * (q2 * q3 + q0 * q1), q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3
-
-
-@njit(cache=True)
-def difference(state: Array, nominal: Array, relative: bool) -> Array:
-    """Error (8,) of a state (n,) from a nominal one: `ErrorCoordinates.difference` of one state.
-
-    Parameters
-    ----------
-    state, nominal : ndarray (13 or more,)
-    relative : bool
-        Attitude as a relative rotation, or else as differences of Euler angles.
-
-    Returns
-    -------
-    ndarray (8,)
-    """
-    speed, alpha, beta = flow_angles((state[0], state[1], state[2]))
-    speed_n, alpha_n, beta_n = flow_angles((nominal[0], nominal[1], nominal[2]))
-    d0, d1, d2 = _down(state[3], state[4], state[5], state[6])
-    n0, n1, n2 = _down(nominal[3], nominal[4], nominal[5], nominal[6])
-    if relative:
-        level = np.hypot(n1, n2)
-        cos_roll, sin_roll = (1.0, 0.0) if level < 1e-9 else (n2 / level, n1 / level)
-        t0, t1, t2 = -n1 * sin_roll - n2 * cos_roll, n0 * sin_roll, n0 * cos_roll
-        scale = 2.0 / (1.0 + (d0 * n0 + d1 * n1 + d2 * n2))
-        theta = scale * (d0 * t0 + d1 * t1 + d2 * t2)
-        phi = scale * (d1 * cos_roll - d2 * sin_roll)
-    else:
-        theta = np.arctan2(-d0, np.sqrt(d1 * d1 + d2 * d2)) - np.arctan2(-n0, np.sqrt(n1 * n1 + n2 * n2))
-        phi = np.arctan2(d1 * n2 - d2 * n1, d1 * n1 + d2 * n2)
-    out = np.empty(8)
-    out[0], out[1], out[2], out[3] = speed - speed_n, alpha - alpha_n, state[8] - nominal[8], theta
-    out[4], out[5], out[6], out[7] = beta - beta_n, state[7] - nominal[7], state[9] - nominal[9], phi
-    return out
-
-
-@njit(cache=True)
-def moved(nominal: Array, error: Array) -> Array:
-    """State components (10,), without position, at a relative error (8,) from a nominal: `ErrorCoordinates.retract`."""
-    speed, alpha, beta = flow_angles((nominal[0], nominal[1], nominal[2]))
-    u, v, w = velocity_from_flow(speed + error[0], alpha + error[1], beta + error[4])
-    d0, d1, d2 = _down(nominal[3], nominal[4], nominal[5], nominal[6])
-    level = np.hypot(d1, d2)
-    cos_roll, sin_roll = (1.0, 0.0) if level < 1e-9 else (d2 / level, d1 / level)
-    half_theta, half_phi = 0.5 * error[3], 0.5 * error[7]
-    scale = 1.0 / np.sqrt(1.0 + half_theta * half_theta + half_phi * half_phi)
-    turn = (
-        scale,
-        -scale * half_phi * (-d1 * sin_roll - d2 * cos_roll),
-        scale * (half_theta * cos_roll - half_phi * d0 * sin_roll),
-        scale * (-half_theta * sin_roll - half_phi * d0 * cos_roll),
-    )
-    q0, q1, q2, q3 = quaternion_product((nominal[3], nominal[4], nominal[5], nominal[6]), turn)
-    rates = (nominal[7] + error[5], nominal[8] + error[2], nominal[9] + error[6])
-    return np.array([u, v, w, q0, q1, q2, q3, rates[0], rates[1], rates[2]])
 
 
 @njit(cache=True)
@@ -96,14 +35,51 @@ def plausible(state: Array, expected: Array, gate: Array, relative: bool) -> boo
 
 
 @njit(cache=True)
-def increments(gains: Array, state: Array, nominal: Array, relative: bool) -> tuple[Array, Array]:
-    """Error (8,) and increments (4,) of a linear law (4, 8)."""
+def increments(
+    coefficients: Array,
+    room: Array,
+    reach: Array,
+    factors: NDArray[np.int64],
+    part_of: NDArray[np.int64],
+    state: Array,
+    nominal: Array,
+    relative: bool,
+) -> tuple[Array, Array]:
+    """Error (8,) and increments (4,) of a law; see `aerotube.runtime.law` for its numbers and its form."""
     error = difference(state, nominal, relative)
+    values = np.empty(coefficients.shape[1])
+    values[:8] = error
+    if len(factors):
+        _monomials(error, reach, factors, part_of, values)
     out = np.zeros(4)
     for i in range(4):
-        for j in range(8):
-            out[i] += gains[i, j] * error[j]
+        for j in range(len(values)):
+            out[i] += coefficients[i, j] * values[j]
+        # what is no number stays none, and is seen for it
+        if out[i] < room[i, 0]:
+            out[i] = room[i, 0]
+        elif out[i] > room[i, 1]:
+            out[i] = room[i, 1]
     return error, out
+
+
+@njit(cache=True)
+def _monomials(
+    error: Array, reach: Array, factors: NDArray[np.int64], part_of: NDArray[np.int64], values: Array
+) -> None:
+    """Write the monomials (M,) of an error, those of higher degree of the error brought back to the set's boundary."""
+    length = np.zeros(8)
+    for i in range(8):
+        z = 0.0
+        for j in range(8):
+            z += reach[i, j] * error[j]
+        length[part_of[i]] += z * z
+    for i in range(8):
+        values[i] = error[i] / max(np.sqrt(length[part_of[i]]), 1.0)
+    for row in range(len(factors)):
+        values[8 + row] = values[factors[row, 0]] * values[factors[row, 1]]
+    for i in range(8):
+        values[i] = error[i]
 
 
 @njit(cache=True)

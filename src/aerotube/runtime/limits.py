@@ -1,4 +1,4 @@
-"""What limits the tracking of a flight: the same manoeuvres with noise and estimator left out or put in."""
+"""What limits the tracking of a flight: the same manoeuvres with less and less noise, estimator off and on."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from aerotube.flight.metrics import mean_absolute_error, root_mean_square_error
 if TYPE_CHECKING:
     from aerotube.runtime.flight import Flown
 
+_SHARES = (1.0, 0.5, 0.25, 0.125)  # of the flight's noise
 _MOST = 50  # manoeuvres that are flown again
 
 
@@ -39,7 +40,7 @@ class Limit:
 
 
 def what_limits(flown: Flown) -> tuple[Limit, ...]:
-    """Fly the manoeuvres again, laws designed for each condition: without noise, with it, and with the estimator.
+    """Fly the manoeuvres again, laws designed for each condition: with the flight's noise, with less, and with none.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def what_limits(flown: Flown) -> tuple[Limit, ...]:
         Empty for a flight of somebody else's aircraft, or along a nominal that was moved in flight. Undelayed, without
         actuators, gusts as they were.
     """
-    from aerotube.runtime.flight import make_estimator, make_task
+    from aerotube.runtime.options import make_estimator, make_task
 
     world, prepared, options = flown.world, flown.prepared, flown.options
     if flown.truth is None or not flown.truth.flown_manoeuvres or options.replan:
@@ -62,34 +63,37 @@ def what_limits(flown: Flown) -> tuple[Limit, ...]:
             draws.seeds, _MOST, draws.half_widths, draws.initial_error[:_MOST], draws.parameters[:_MOST]
         )
     noise = world.noise if world.noise > 0 else 1.0
-    estimator = make_estimator(prepared, replace(options, estimator=True, noise=noise))
-    gusts = world.gusts
 
     def tracked(law: Any, noise: float, filtered: bool) -> tuple[float, float]:
+        estimator = make_estimator(prepared, replace(options, estimator=True, noise=noise)) if filtered else None
         found = flight.simulate(
             prepared.plant,
             prepared.nominal,
             law,
             draws,
             noise=noise,
-            estimator=estimator if filtered else None,
-            gusts=gusts,
+            estimator=estimator,
+            gusts=world.gusts,
             substeps=options.substeps,
         )
         metric = found.metric.reshape(-1)
         return float(mean_absolute_error(metric)), float(root_mean_square_error(metric))
 
-    alone = tracked(None, 0.0, False)
-    laws = {}
-    for noisy in (False, True):
-        task = make_task(prepared, replace(options, estimator=False, noise=noise if noisy else 0.0))
-        laws[noisy] = design(task.aircraft, prepared.nominal, task.disturbance, task.settings, workers=task.workers).law
-    share = f"sensor noise of {100 * noise:g} % of the disturbance box"
-    cases = (
-        ("no sensor noise", tracked(laws[False], 0.0, False)),
-        (f"{share}, no estimator", tracked(laws[True], noise, False)),
-        (f"{share}, estimator", tracked(laws[False], noise, True)),
-    )
+    def designed(share: float) -> Any:
+        task = make_task(prepared, replace(options, estimator=False, noise=share * noise))
+        settings = task.settings
+        if share:
+            # the noise's mean square goes with the square of its size
+            weight, error = share**2 * settings.noise_weight, share * settings.measurement_error
+            settings = replace(settings, noise_weight=weight, measurement_error=error)
+        return design(task.aircraft, prepared.nominal, task.disturbance, settings, workers=task.workers).law
+
+    alone, exact = tracked(None, 0.0, False), designed(0.0)
+    cases = [("no sensor noise", tracked(exact, 0.0, False))]
+    for share in _SHARES:
+        words = f"sensor noise of {100 * share * noise:g} % of the disturbance box"
+        cases.append((f"{words}, no estimator", tracked(designed(share), share * noise, False)))
+        cases.append((f"{words}, estimator", tracked(exact, share * noise, True)))
     return tuple(
         Limit(words, mae, rmse, 1.0 - mae / alone[0], 1.0 - rmse / alone[1])
         for words, (mae, rmse) in cases

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from aerotube.dynamics.errors import euler_error
 from aerotube.flight.metrics import error_metric, mean_absolute_error, root_mean_square_error
-from aerotube.runtime.flight import Flown, nominal_of
+from aerotube.runtime.alone import nominal_of
+from aerotube.runtime.flight import Flown
 from aerotube.runtime.plant import GRACE
+from aerotube.runtime.promises import promises
 from aerotube.runtime.record import WindowTimes
 from aerotube.runtime.watchdog import stolen
 
@@ -107,6 +109,16 @@ def realtime_factor(flown: Flown) -> float | None:
     return float(sum(w.computed for w in done) * flown.world.dt / taken)
 
 
+def window_times(flown: Flown) -> dict[str, float] | None:
+    """Median ms that a window of full length took, and of them on what; None without such windows."""
+    whole = [w for w in flown.record.windows if not w.error and w.computed == flown.options.window]
+    if not whole:
+        return None
+    spent = {name: [w.seconds.get(name, 0.0) for w in whole] for name in ("check", "design", "certify")}
+    every = {"whole": [w.done - w.started for w in whole], **spent}
+    return {name: 1e3 * float(np.median(seconds)) for name, seconds in every.items()}
+
+
 def latency(flown: Flown) -> Array:
     """From a measurement's arrival to its command, s, of the beats that had both."""
     record = flown.record
@@ -120,9 +132,11 @@ def summarise(flown: Flown) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``beats``; ``missed_deadlines`` and, of them, ``missed_unexplained``; ``fallbacks`` by kind (beats); ``mae``
-        and ``rmse`` of Eq. 18 over all manoeuvres, without compensation and with it; ``latency_us`` from measurement
-        to command; ``realtime_factor`` of the window computation. None where a figure does not exist.
+        ``beats``; ``missed_deadlines`` and, of them, ``missed_unexplained``; ``fallbacks`` by kind (beats);
+        ``certificates`` by kind (beats, by the part that has the least; "none": no tube is claimed); ``promises`` of
+        their tubes, see :func:`~aerotube.runtime.promises.promises`; ``mae`` and ``rmse`` of Eq. 18 over all
+        manoeuvres, without compensation and with it; ``latency_us`` from measurement to command; ``realtime_factor`` of
+        the window computation, and ``window_ms``, the median time of a whole one. None where a figure does not exist.
     """
     missed = deadlines(flown)
     with_law = errors_flown(flown)
@@ -137,10 +151,13 @@ def summarise(flown: Flown) -> dict[str, Any]:
         "missed_deadlines": int(missed.missed.sum()),
         "missed_unexplained": int(missed.unexplained.sum()),
         "fallbacks": flown.record.fallbacks(),
+        "certificates": flown.record.certificates(),
+        "promises": promises(flown),
         **figures,
         "latency_us": {
             "median": float(np.median(spans)) if len(spans) else None,
             "p99": float(np.percentile(spans, 99)) if len(spans) else None,
         },
         "realtime_factor": realtime_factor(flown),
+        "window_ms": window_times(flown),
     }

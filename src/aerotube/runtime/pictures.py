@@ -111,6 +111,14 @@ def _latencies(axes: Axes, dataset: xr.Dataset, due: Array, count: int) -> None:
     spans = 1e6 * (dataset["sent"].values - dataset["arrived"].values)
     axes.semilogy(due[:count], spans[:count], ".", color=COLOURS["compensated"], markersize=4)
     finite = spans[np.isfinite(spans)]
+    drawn = spans[:count][np.isfinite(spans[:count])]
+    if len(drawn):
+        from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+        narrow = drawn.max() < 30.0 * drawn.min()
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,)))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
     if len(finite):
         median, most = np.median(finite), np.percentile(finite, 99)
         axes.axhline(median, color=COLOURS["nominal"], linewidth=0.9)

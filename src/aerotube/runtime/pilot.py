@@ -4,32 +4,56 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from aerotube.compensation import COUPLED
+from aerotube.compensation.tubes import regrouped
 from aerotube.nominal import Nominal
 from aerotube.runtime.commander import Beat, Commander
 from aerotube.runtime.faults import Faults
 from aerotube.runtime.guidance import Guidance
+from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Kind, Message, Rung, decode
 from aerotube.runtime.record import Record, WindowTimes
 from aerotube.runtime.session import Session
-from aerotube.runtime.windows import Laws, Task, compute
+from aerotube.runtime.task import Task
+from aerotube.runtime.windows import Window, compute
 from aerotube.runtime.workers import Job, Workers
 
 Array = NDArray[np.float64]
 
 #: Share of a beat after which a measurement that has not come is done without.
 WAIT = 0.15
+_SOLVING = 0.85  # share of the time until a window is needed that its laws' design may take
 _HEARTBEAT = 10  # beats between heartbeats
 _REHEARSAL = 1.2e-3  # s before a measurement is expected
 _ALERT = 7e-4  # s either side of that for which it is waited for without sleeping: waking up would take as long
 _GONE = 10.0  # s without a measurement after which the aircraft is taken to be gone
 
-Flown = tuple[Array, NDArray[np.int64], Array]  # gains, rungs and sizes of a beat
+
+@dataclass(frozen=True)
+class Chosen:
+    """What is flown in a beat: the law, and of each part its rung, its certified size and what stands behind that.
+
+    Attributes
+    ----------
+    law : Laws
+        Of the one beat.
+    rungs, kinds : ndarray (parts,) of int
+    size : ndarray (parts,)
+    metric : ndarray (8, 8)
+        In which the sizes are measured, part by part; zero where nothing is certified.
+    """
+
+    law: Laws
+    rungs: NDArray[np.int64]
+    size: Array
+    kinds: NDArray[np.int64]
+    metric: Array
 
 
 class Pilot:
@@ -73,7 +97,7 @@ class Pilot:
         self.beats, self.speed = beats, speed
         self.horizon = guidance.planned.beats
         self.length = guidance.planned.dt / speed if np.isfinite(speed) else 0.0
-        self.record = Record(beats, 16, len(task.settings.parts))
+        self.record = Record(beats, 16, len(task.settings.parts), task.form)
         self.stop = threading.Event()
         self._nominal = guidance.planned
         self._windows = [
@@ -83,14 +107,14 @@ class Pilot:
         ]
         self._asked = 0
         self._needed: dict[int, int] = {}
-        self._planned: dict[int, Flown] = {}
-        self._held: dict[int, Flown] = {}
+        self._planned: dict[int, Chosen] = {}
+        self._held: dict[int, Chosen] = {}
         self._lqr: dict[int, Array] = {}
-        self._earlier: dict[int, tuple[Flown, Nominal]] = {}
+        self._earlier: dict[int, tuple[Chosen, Nominal]] = {}
         self._earlier_lqr: dict[int, Array] = {}
         self._nominals: dict[int, Nominal] = {}
         self._asked_for: dict[int, Nominal] = {}
-        self._memory: dict[int, Laws] = {}
+        self._memory: dict[int, Window] = {}
         self._offset = np.inf
         self._heard = np.inf
         self._lateness = 0.0
@@ -192,8 +216,8 @@ class Pilot:
             commander.begin()
         if beat not in self._planned:
             self._collect(0.0 if self.clocked else 60.0, beat)
-        gains, rungs, size, late = self._best(beat)
-        flown = self._flown(beat, gains, rungs)
+        chosen, late = self._best(beat)
+        flown = self._flown(beat, chosen)
         measured = None
         if message is not None:
             state = np.array(message.values[: len(commander.aircraft.state_names)])
@@ -205,8 +229,9 @@ class Pilot:
         self.session.send(Kind.COMMAND, beat, tuple(command.control.tolist()), int(command.rung))
         sent = time.monotonic()
         commander.after(number, flown, command.control)
-        record.put(beat, command, rungs, size, measured)
-        record.gains[beat], record.law_late[beat] = gains, late
+        record.put(beat, command, chosen.rungs, chosen.size, chosen.kinds, measured)
+        record.fly(beat, chosen.law, chosen.metric)
+        record.law_late[beat] = late
         record.nominal_state[beat], record.nominal_end[beat] = flown.nominal_state[:13], flown.next_state[:13]
         record.nominal_control[beat] = flown.nominal_control
         record.due[beat] = self._due(beat) if self.clocked else arrived
@@ -214,7 +239,7 @@ class Pilot:
         record.sent[beat] = sent
         self._afterwards(beat)
 
-    def _flown(self, beat: int, gains: Array, rungs: NDArray[np.int64]) -> Beat:
+    def _flown(self, beat: int, chosen: Chosen) -> Beat:
         number, nominal = beat % self.horizon, self._nominals.get(beat, self._nominal)
         estimator = self.commander.estimator
         if estimator is not None and estimator.nominal is not nominal:
@@ -222,8 +247,8 @@ class Pilot:
         return Beat(
             nominal.states[number],
             nominal.controls[number],
-            gains,
-            Rung(int(rungs.max())),
+            chosen.law,
+            Rung(int(chosen.rungs.max())),
             nominal.states[number + 1],
         )
 
@@ -233,10 +258,12 @@ class Pilot:
         if not self.clocked or not np.isfinite(self._offset) or left < 0 or beat % self.horizon == 0:
             return
         time.sleep(left)
-        gains, rungs, _, _ = self._best(beat)
+        if beat not in self._planned:
+            self._collect(0.0)
+        chosen, _ = self._best(beat)
         message = Message(Kind.MEASUREMENT, 0, 0, values=tuple(np.zeros(16).tolist())).encode()
         np.array(decode(message).values[:13])
-        self.commander.rehearse(beat % self.horizon, self._flown(beat, gains, rungs))
+        self.commander.rehearse(beat % self.horizon, self._flown(beat, chosen))
 
     def _skip(self, beat: int) -> None:
         """A beat whose measurement and moment have passed."""
@@ -249,28 +276,31 @@ class Pilot:
         self.record.nominal_control[beat] = nominal.controls[number]
         self._afterwards(beat)
 
-    def _best(self, beat: int) -> tuple[Array, NDArray[np.int64], Array, bool]:
-        """Down the ladder: gains, rungs, sizes, and whether the beat's window is late.
+    def _best(self, beat: int) -> tuple[Chosen, bool]:
+        """Down the ladder: what is flown, and whether the beat's window is late.
 
         A last law is that of the window before, where it was certified for this beat, or that of the manoeuvre before
         at this beat, if the nominal is the very same.
         """
-        parts = len(self.task.settings.parts)
         found = self._planned.get(beat)
         if found is not None:
-            return *found, False
+            return found, False
         found = self._held.get(beat)
         if found is not None:
-            return *found, True
-        number, nothing = beat % self.horizon, np.full(parts, np.nan)
+            return found, True
+        number = beat % self.horizon
         earlier = self._earlier.get(number)
         if earlier is not None and earlier[1] is self._nominals.get(beat):
-            gains, rungs, size = earlier[0]
-            return gains, np.maximum(rungs, Rung.LAST), size, True
+            return replace(earlier[0], rungs=np.maximum(earlier[0].rungs, Rung.LAST)), True
         gain = self._lqr.get(beat, self._earlier_lqr.get(number))
         if gain is not None:
-            return gain, np.full(parts, int(Rung.LQR)), nothing, True
-        return np.zeros((4, 8)), np.full(parts, int(Rung.NOMINAL)), nothing, True
+            return self._uncertified(gain, Rung.LQR), True
+        return self._uncertified(np.zeros((4, 8)), Rung.NOMINAL), True
+
+    def _uncertified(self, gains: Array, rung: Rung) -> Chosen:
+        parts = len(self.task.settings.parts)
+        law = Laws.linear(self.task.form, gains[None])[0]
+        return Chosen(law, np.full(parts, int(rung)), np.full(parts, np.nan), np.full(parts, -1), np.zeros((8, 8)))
 
     def _afterwards(self, beat: int) -> None:
         """Ask for the next window, take in what is done, look after the workers."""
@@ -295,14 +325,8 @@ class Pilot:
         lead = np.inf
         if self.clocked and self._asked:
             lead = self._windows[self._asked - 1][1] * self.length
-        programs = len(self.task.settings.parts) * count / (self.task.reuse + 1)
-        work = partial(
-            self._compute,
-            nominal,
-            start,
-            count,
-            max(lead * self.task.workers / (1.5 * programs), 1e-3) if np.isfinite(lead) else None,
-        )
+        budget = max(_SOLVING * lead, 1e-3) if np.isfinite(lead) else None
+        work = partial(self._compute, nominal, start, count, budget)
         job = Job(
             start,
             self.faults.wrap(work, start) if self.faults is not None and self._asked else work,
@@ -311,14 +335,14 @@ class Pilot:
         self._asked += 1
         self.workers.submit(job)
 
-    def _compute(self, nominal: Nominal, start: int, count: int, deadline: float | None) -> Laws | None:
+    def _compute(self, nominal: Nominal, start: int, count: int, budget: float | None) -> Window | None:
         """Laws of what is left of a window when its turn comes; None if nothing is."""
         first = start % self.horizon
         begin = first + max(0, self._now + 1 - start) if self.clocked and start else first
         if begin >= first + count:
             return None
         beats = range(begin, first + count)
-        return compute(self.task, nominal, beats, before=self._memory.get(begin), deadline=deadline)
+        return compute(self.task, nominal, beats, before=self._memory.get(begin), budget=budget)
 
     def _collect(self, timeout: float, wanted: int | None = None) -> bool:
         """Take in finished windows; with a wanted beat, wait for the one that holds it."""
@@ -346,21 +370,23 @@ class Pilot:
         times = WindowTimes(start, count, job.asked, job.started, job.done, start, job.attempts, error=job.error)
         self.record.windows.append(times)
         nominal = self._asked_for.pop(start)
-        laws: Laws | None = job.result
-        if laws is None:
+        window: Window | None = job.result
+        if window is None:
             times.error = times.error or "overtaken by the flight before its turn came"
             return
-        first = int(laws.beats[0])
-        times.computed = laws.window
+        first = int(window.beats[0])
+        times.computed = window.window
         self._longest = max(0.7 * self._longest, job.done - job.started)
-        times.designed, times.kept, times.seconds = laws.designed, int(laws.kept.sum()), laws.seconds
-        self.record.events += [(job.done, message) for message in laws.messages]
-        self._memory[first] = laws
-        for j, beat in enumerate(laws.beats + manoeuvre * self.horizon):
-            store = self._planned if j < laws.window else self._held
-            if j < laws.window or (laws.rungs[j] <= Rung.LAST).all():
-                store[int(beat)] = flown = (laws.gains[j], laws.rungs[j], laws.size[j])
-                if j < laws.window and (laws.rungs[j] <= Rung.LAST).all():
-                    self._earlier[int(beat) % self.horizon] = flown, nominal
-        for j, gain in enumerate(laws.lqr):
+        times.designed, times.kept, times.seconds = window.designed, int(window.kept.sum()), window.seconds
+        self.record.events += [(job.done, message) for message in window.messages]
+        self._memory[first] = window
+        (metric,) = regrouped(window.metric, self.task.settings.parts, COUPLED)
+        for j, beat in enumerate(window.beats + manoeuvre * self.horizon):
+            own, certified = j < window.window, bool((window.rungs[j] <= Rung.LAST).all())
+            chosen = Chosen(window.laws[j], window.rungs[j], window.size[j], window.kinds[j], metric[j])
+            if own or certified:
+                (self._planned if own else self._held)[int(beat)] = chosen
+            if own and certified:
+                self._earlier[int(beat) % self.horizon] = chosen, nominal
+        for j, gain in enumerate(window.lqr):
             self._lqr[manoeuvre * self.horizon + first + j] = self._earlier_lqr[first + j] = gain

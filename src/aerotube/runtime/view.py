@@ -98,6 +98,7 @@ def _numbers(pilot: Pilot) -> Table:
     predicted = int((record.source[:count] == Source.PREDICTED).sum())
     none = count - predicted - int((record.source[:count] == Source.MEASURED).sum())
     median = f"{np.median(spans):.0f} µs median, {np.percentile(spans, 99):.0f} µs p99" if len(spans) else "–"
+    kinds = ", ".join(f"{n} {kind}" for kind, n in record.certificates().items() if n)
     table.add_row("[dim]windows late[/]", f"{late} beats", "[dim]last window took[/]", latest)
     table.add_row("[dim]fallbacks[/]", ladder or "none", "[dim]measurement to command[/]", median)
     table.add_row(
@@ -106,6 +107,7 @@ def _numbers(pilot: Pilot) -> Table:
         "[dim]clamp[/]",
         f"{int(record.clamped[:count].any(axis=1).sum())} beats",
     )
+    table.add_row("[dim]certificates[/]", kinds or "–", "", "")
     return table
 
 

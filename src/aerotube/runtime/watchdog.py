@@ -5,7 +5,6 @@ One keeps to each core, since a machine that is short of time may be so on one c
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import os
 import time
@@ -29,15 +28,19 @@ def measure(stop: Any, report: Any, core: int | None = None, period: float = PER
     stop : connection
         Anything that arrives, or its end, stops the watch.
     report : connection
-        Gets one list of pairs: moments on the monotonic clock, seconds.
+        Gets one list of pairs, moments on the monotonic clock and seconds, and a sentence: why the watch could not keep
+        to its core, empty where it could.
     core : int, optional
         To keep to.
     period, least : float
         s.
     """
+    trouble = ""
     if core is not None:
-        with contextlib.suppress(OSError):
+        try:
             os.sched_setaffinity(0, {core})
+        except OSError as error:  # it still measures, on whichever core it is given
+            trouble = f"the watchdog of core {core} does not keep to it ({error}): thefts on it may go unseen"
     found: list[tuple[float, float]] = []
     try:
         before = time.monotonic()
@@ -50,16 +53,23 @@ def measure(stop: Any, report: Any, core: int | None = None, period: float = PER
             before = now
     except (KeyboardInterrupt, OSError, EOFError):
         pass
-    report.send(found)
+    report.send((found, trouble))
     report.close()
 
 
 class Watchdog:
-    """The sleeping processes, started and stopped."""
+    """The sleeping processes, started and stopped.
+
+    Attributes
+    ----------
+    troubles : list of str
+        After `stop`: one sentence for each watch that did not do what it should.
+    """
 
     def __init__(self) -> None:
         cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [None]
         context = multiprocessing.get_context("spawn")
+        self.troubles: list[str] = []
         self._watches: list[tuple[Any, Any, Any]] = []
         for core in cores[:_MOST]:
             stopped, stop = context.Pipe(duplex=False)
@@ -74,10 +84,18 @@ class Watchdog:
         """End the watch: ndarray (k, 3), the end of each theft on the monotonic clock, its seconds, and which watch."""
         rows: list[tuple[float, float, float]] = []
         for number, (process, stop, report) in enumerate(self._watches):
-            with contextlib.suppress(OSError, EOFError):
+            try:
                 stop.send(None)
-                if report.poll(5.0):
-                    rows += [(end, seconds, float(number)) for end, seconds in report.recv()]
+                if not report.poll(5.0):
+                    raise EOFError
+                found, trouble = report.recv()
+            except (OSError, EOFError):
+                found, trouble = (
+                    [],
+                    f"watchdog {number} has not reported: thefts on its core are unknown",
+                )
+            rows += [(end, seconds, float(number)) for end, seconds in found]
+            self.troubles += [trouble] if trouble else []
             process.join(1.0)
             if process.is_alive():
                 process.terminate()

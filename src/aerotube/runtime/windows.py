@@ -1,18 +1,22 @@
 """Laws for a window of beats: designed, certified, and completed down the ladder where there is none.
 
-Everything that is flown is measured first: by a size program for every beat and part, on the nominal that will be
-flown. The same measurement decides what else may be flown there:
+Everything that is flown is measured first, for every beat and part, on the nominal that will be flown. The same
+measurement decides what else may be flown there:
 
 * a law stopped at the solver's deadline, if its size is certified;
-* the law of an earlier beat, where a beat has none of its own, if its certified size is no larger than that of the
-  nominal alone and it keeps the controls within their limits;
+* the law of an earlier beat, where a beat has none of its own, if its size has a certificate too, if it keeps the
+  controls within their limits, and if, to first order and measured exactly, it leaves errors no larger than the nominal
+  alone would (an error of the measurement adds to every law's size, and nothing to the nominal's);
 * the law that the last manoeuvre flew at the same beat, if the nominal has moved by no more than it tolerates: its
   certified size on the new nominal is at most a stated factor of its size where it was made, in the same metric, and
   it keeps the controls within their limits there. Then nothing is designed anew (event-triggered recomputation).
 
-Sizes are those of :func:`aerotube.compensation.certified_size`: certified in flight, for the polynomial through the
-closed loop at the nodes ("polynomial only"). Sampled and rigorous certificates take longer than a flight has; `aerotube
-run` gives them for the same laws.
+A law that saturates keeps the controls within their limits by cutting itself off, and the cut is in what is measured.
+
+Sizes are those of :func:`aerotube.compensation.flown_size`, and every one of them says what stands behind it: samples
+of the aircraft as it flies ("sampled") unless the settings ask for less, or the polynomial through the closed loop at
+the nodes ("polynomial only"). Rigorous certificates take longer than a flight has; `aerotube run` gives them for the
+same laws.
 """
 
 from __future__ import annotations
@@ -24,63 +28,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aerotube.aircraft.base import Aircraft
-from aerotube.compensation import Design, LinearLaw, SynthesisSettings, certified_size, design
-from aerotube.compensation.design import available_increments
-from aerotube.dynamics.errors import ErrorCoordinates
+from aerotube.compensation import KINDS, Design
 from aerotube.flight.lqr import time_varying_lqr
 from aerotube.nominal import Nominal
+from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Rung
-from aerotube.tube import DisturbanceSet, tracking_weights
+from aerotube.runtime.sizes import Sized, sizes, useful, whole, within_limits
+from aerotube.runtime.task import Task, design_in
+from aerotube.tube import tracking_weights
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Task:
-    """What every window is computed from.
-
-    Attributes
-    ----------
-    aircraft : Aircraft
-        The model that laws are computed on.
-    disturbance : DisturbanceSet
-    settings : SynthesisSettings
-    window : int
-        Beats of a window.
-    around : int
-        Beats before and after the window that the forecast of errors and costs looks at; the numbers are those of
-        the whole manoeuvre where it is no longer than that.
-    validity : int
-        Beats after a window for which its last law is measured, in case the next window is late.
-    tolerance : float or None
-        Event-triggered: largest growth of a kept law's certified size, as a share of it. None: all is designed.
-    workers : int
-        Threads that solve.
-    """
-
-    aircraft: Aircraft
-    disturbance: DisturbanceSet
-    settings: SynthesisSettings
-    window: int = 16
-    around: int = 60
-    validity: int = 3
-    tolerance: float | None = None
-    workers: int = 2
-
-    @property
-    def reuse(self) -> int:
-        """Beats that a law serves beyond its own."""
-        return self.settings.reuse
-
-    @property
-    def coordinates(self) -> ErrorCoordinates:
-        """In which the laws are given the error."""
-        return ErrorCoordinates(self.settings.attitude)
-
-
-@dataclass(frozen=True)
-class Laws:
+class Window:
     """Laws of some beats.
 
     Attributes
@@ -89,11 +50,14 @@ class Laws:
         Of the window, and behind them those for which the last law was measured too.
     window : int
         How many of them are the window's own.
-    gains : ndarray (b, 4, 8)
+    laws : Laws
+        Of b beats.
     rungs : ndarray (b, parts) of int
         What stands behind each part of them, see `Rung`; for the beats behind the window, of the last law there.
     size : ndarray (b, parts)
         Certified; NaN where the part flies something that is not certified.
+    kinds : ndarray (b, parts) of int
+        What stands behind the sizes, an index of `aerotube.compensation.KINDS`; -1 where nothing does.
     metric : tuple of ndarray (b, n, n)
         In which the size of each part is measured.
     lqr : ndarray (b', 4, 8)
@@ -111,9 +75,10 @@ class Laws:
 
     beats: NDArray[np.intp]
     window: int
-    gains: Array
+    laws: Laws
     rungs: NDArray[np.int64]
     size: Array
+    kinds: NDArray[np.int64]
     metric: tuple[Array, ...]
     lqr: Array
     kept: NDArray[np.bool_]
@@ -128,9 +93,9 @@ def compute(
     nominal: Nominal,
     beats: range,
     *,
-    before: Laws | None = None,
-    deadline: float | None = None,
-) -> Laws:
+    before: Window | None = None,
+    budget: float | None = None,
+) -> Window:
     """Compute the laws of a window.
 
     Parameters
@@ -140,14 +105,14 @@ def compute(
         The whole manoeuvre as it will be flown.
     beats : range
         The window.
-    before : Laws, optional
+    before : Window, optional
         Of the same beats of the manoeuvre before, for event-triggered recomputation.
-    deadline : float, optional
-        Seconds that the solver has for each program.
+    budget : float, optional
+        Seconds for the design of the laws; a program that is not done with its share of them is stopped.
 
     Returns
     -------
-    Laws
+    Window
 
     Raises
     ------
@@ -162,8 +127,8 @@ def compute(
     own = np.arange(beats.start, beats.stop) - first
     behind = np.arange(beats.stop, min(beats.stop + task.validity, nominal.beats)) - first
     clock = time.perf_counter()
-    kept, sized = np.zeros(len(own), bool), np.empty((0, 0))
-    if task.tolerance is not None and before is not None and len(before.gains) >= len(own):
+    kept, sized = np.zeros(len(own), bool), Sized(np.empty((0, 0)), np.empty((0, 0), dtype=np.int64))
+    if task.tolerance is not None and before is not None and len(before.rungs) >= len(own):
         kept, sized = still_valid(task, cut, own, before)
         seconds["check"] = time.perf_counter() - clock
         clock = time.perf_counter()
@@ -173,54 +138,42 @@ def compute(
     fresh = np.flatnonzero(~kept)
     made = None
     if len(fresh):
-        made = _design(task, cut, own[fresh], deadline)
+        made = design_in(task, cut, own[fresh], budget)
         seconds["design"] = time.perf_counter() - clock
         clock = time.perf_counter()
     laws = _assemble(task, cut, own, behind, fresh, kept, sized, made, before)
     seconds["certify"] = time.perf_counter() - clock
-    return Laws(
+    return Window(
         beats=np.concatenate([own, behind]) + first,
         window=len(own),
         designed=-(-len(fresh) // (task.reuse + 1)) * len(task.settings.parts),
         seconds=seconds,
-        messages=() if made is None else tuple(made.messages),
+        messages=(*(() if made is None else made.messages), *_told(task, laws)),
         **laws,
     )
 
 
-def still_valid(task: Task, nominal: Nominal, beats: NDArray[np.intp], before: Laws) -> tuple[NDArray[np.bool_], Array]:
+def still_valid(
+    task: Task, nominal: Nominal, beats: NDArray[np.intp], before: Window
+) -> tuple[NDArray[np.bool_], Sized]:
     """Where the laws of the manoeuvre before hold on a new nominal, by the rule of the module's text.
 
     Returns
     -------
     holds : ndarray (b,) of bool
-    size : ndarray (b, parts)
-        Certified there; NaN where it was not worth asking.
+    sized : Sized
+        Of b beats; NaN where it was not worth asking.
     """
     assert task.tolerance is not None
-    count = len(beats)
-    gains = np.zeros((nominal.beats, 4, 8))
-    gains[beats] = before.gains[:count]
+    count, parts = len(beats), len(task.settings.parts)
     certified = np.asarray(np.isfinite(before.made[:count]).all(1) & (before.rungs[:count] <= Rung.LAST).all(1))
     if not certified.any():
-        return certified, np.full((count, len(task.settings.parts)), np.nan)
-    metric = tuple(shape[:count] for shape in before.metric)
-    size = _sizes(task, nominal, beats, gains, metric)
-    tolerated = (size <= (1.0 + task.tolerance) * before.made[:count]).all(1)
-    inside = _within_limits(task, nominal, beats, before.gains[:count]).all(1)
-    return np.asarray(certified & tolerated & inside), size
-
-
-def _design(task: Task, nominal: Nominal, beats: NDArray[np.intp], deadline: float | None) -> Design:
-    return design(
-        task.aircraft,
-        nominal,
-        task.disturbance,
-        task.settings,
-        beats=beats,
-        workers=task.workers,
-        deadline=deadline,
-    )
+        return certified, Sized(np.full((count, parts), np.nan), np.full((count, parts), -1))
+    laws = whole(task, nominal, beats, before.laws[:count])
+    sized = sizes(task, nominal, beats, laws, tuple(shape[:count] for shape in before.metric))
+    tolerated = (sized.size <= (1.0 + task.tolerance) * before.made[:count]).all(1)
+    inside = within_limits(task, nominal, beats, laws).all(1)
+    return np.asarray(certified & tolerated & inside), sized
 
 
 def _assemble(
@@ -230,36 +183,31 @@ def _assemble(
     behind: NDArray[np.intp],
     fresh: NDArray[np.intp],
     kept: NDArray[np.bool_],
-    sized: Array,
+    sized: Sized,
     made: Design | None,
-    before: Laws | None,
+    before: Window | None,
 ) -> dict[str, Any]:
     """Laws of all beats, each measured, and completed by the regulator where nothing is certified."""
     parts, beats = task.settings.parts, np.concatenate([own, behind])
     count = len(beats)
-    gains = np.zeros((nominal.beats, 4, 8))
+    laws = whole(task, nominal, own[kept], None if before is None else before.laws[np.flatnonzero(kept)])
     rungs = np.full((count, len(parts)), int(Rung.LAST))
     origin = np.full((count, len(parts)), -1)
     if before is not None and kept.any():
         where = np.flatnonzero(kept)
-        gains[own[where]] = before.gains[where]
         rungs[where], origin[where] = before.rungs[where], where[:, None]
     if made is not None:
-        place = np.searchsorted(made.beats, own[fresh])
-        for i, part in enumerate(parts):
-            there = made.feasible[place, i] | made.stopped[place, i]
-            at = fresh[there]
-            rows = np.ix_(own[at], part.controls)
-            gains[rows] = made.law.gains[rows]
-            rungs[at, i] = np.where(made.feasible[place, i], Rung.PLANNED, Rung.ANYTIME)[there]
-            origin[at, i] = at
-    _hold(task, gains, rungs, origin, beats)
+        _take(task, made, laws, own, fresh, rungs, origin)
+    _hold(task, laws, rungs, origin, beats)
     metric = _metric(task, nominal, beats, kept, made, before)
     kept = np.concatenate([kept, np.zeros(len(behind), bool)])
-    size = np.empty((count, len(parts)))
-    size[kept], new = sized[kept[: len(own)]] if kept.any() else 0.0, np.flatnonzero(~kept)
+    size, kinds = np.empty((count, len(parts))), np.empty((count, len(parts)), dtype=np.int64)
+    if kept.any():
+        size[kept], kinds[kept] = sized.size[kept[: len(own)]], sized.kinds[kept[: len(own)]]
+    new = np.flatnonzero(~kept)
     if len(new):
-        size[new] = _sizes(task, nominal, beats[new], gains, tuple(shape[new] for shape in metric))
+        found = sizes(task, nominal, beats[new], laws, tuple(shape[new] for shape in metric))
+        size[new], kinds[new] = found.size, found.kinds
     first_size = size.copy()
     if before is not None and kept.any():
         first_size[kept] = before.made[: len(own)][kept[: len(own)]]
@@ -271,17 +219,21 @@ def _assemble(
     certified = np.isfinite(size) & (origin >= 0)
     held = np.flatnonzero((rungs == Rung.LAST).any(1))
     if len(held):
-        alone = _sizes(task, nominal, beats[held], None, tuple(shape[held] for shape in metric))
-        inside = _within_limits(task, nominal, beats[held], gains[beats[held]])
-        certified[held] &= (rungs[held] != Rung.LAST) | ((size[held] <= alone) & inside)
+        helps = useful(task, nominal, beats[held], laws, tuple(shape[held] for shape in metric))
+        inside = within_limits(task, nominal, beats[held], laws)
+        certified[held] &= (rungs[held] != Rung.LAST) | (helps & inside)
     for i, part in enumerate(parts):
         for j in np.flatnonzero(~certified[:, i]):
-            gains[beats[j], part.controls] = lqr[beats[j], part.controls]
-            rungs[j, i] = Rung.LQR if lqr[beats[j], part.controls].any() else Rung.NOMINAL
+            rows = beats[j], part.controls
+            laws.coefficients[rows] = 0.0
+            laws.coefficients[beats[j], part.controls, :8] = lqr[rows]
+            laws.room[rows] = [-np.inf, np.inf]
+            rungs[j, i] = Rung.LQR if lqr[rows].any() else Rung.NOMINAL
     return {
-        "gains": gains[beats],
+        "laws": laws[beats],
         "rungs": rungs,
         "size": np.where(certified, size, np.nan),
+        "kinds": np.where(certified, kinds, -1),
         "metric": metric,
         "lqr": lqr[own[0] :],
         "kept": kept,
@@ -289,16 +241,42 @@ def _assemble(
     }
 
 
-def _hold(
-    task: Task, gains: Array, rungs: NDArray[np.int64], origin: NDArray[np.int64], beats: NDArray[np.intp]
+def _take(
+    task: Task,
+    made: Design,
+    laws: Laws,
+    own: NDArray[np.intp],
+    fresh: NDArray[np.intp],
+    rungs: NDArray[np.int64],
+    origin: NDArray[np.int64],
 ) -> None:
+    """Put the laws of a design in their places."""
+    place = np.searchsorted(made.beats, own[fresh])
+    coefficients = getattr(made.law, "coefficients", made.law.gains)
+    reach = getattr(made.law, "unwhitening", None)
+    for i, part in enumerate(task.settings.parts):
+        there = made.feasible[place, i] | made.stopped[place, i]
+        at = fresh[there]
+        rows = np.ix_(own[at], part.controls)
+        laws.coefficients[rows] = coefficients[rows]
+        if reach is not None:
+            block = np.ix_(own[at], part.errors, part.errors)
+            laws.reach[block] = reach[block]
+        rungs[at, i] = np.where(made.feasible[place, i], Rung.PLANNED, Rung.ANYTIME)[there]
+        origin[at, i] = at
+
+
+def _hold(task: Task, laws: Laws, rungs: NDArray[np.int64], origin: NDArray[np.int64], beats: NDArray[np.intp]) -> None:
     """Let beats without a law of their own hold the one before them."""
     for i, part in enumerate(task.settings.parts):
         for j in range(1, len(beats)):
             if origin[j, i] >= 0 or origin[j - 1, i] < 0:
                 continue
             source = origin[j, i] = origin[j - 1, i]
-            gains[beats[j], part.controls] = gains[beats[source], part.controls]
+            laws.coefficients[beats[j], part.controls] = laws.coefficients[beats[source], part.controls]
+            if not task.form.linear:
+                block = np.ix_(part.errors, part.errors)
+                laws.reach[beats[j]][block] = laws.reach[beats[source]][block]
             rungs[j, i] = Rung.LAST
 
 
@@ -308,7 +286,7 @@ def _metric(
     beats: NDArray[np.intp],
     kept: NDArray[np.bool_],
     made: Design | None,
-    before: Laws | None,
+    before: Window | None,
 ) -> tuple[Array, ...]:
     """Metric of every beat: the design's, the kept law's, or else that of the nearest beat before that has one."""
     found = []
@@ -331,25 +309,15 @@ def _metric(
     return tuple(found)
 
 
-def _sizes(
-    task: Task, nominal: Nominal, beats: NDArray[np.intp], gains: Array | None, metric: tuple[Array, ...]
-) -> Array:
-    law = None if gains is None else LinearLaw(gains, task.coordinates)
-    return certified_size(
-        task.aircraft, nominal, task.disturbance, law, metric, task.settings, beats=beats, workers=task.workers
-    )
-
-
-def _within_limits(task: Task, nominal: Nominal, beats: NDArray[np.intp], gains: Array) -> NDArray[np.bool_]:
-    """Whether each part's law keeps its controls within their limits on the disturbance box: (b, parts)."""
-    settings, coordinates = task.settings, task.coordinates
-    seen = coordinates.box(nominal.states[beats], (1.0 + settings.measurement_error) * task.disturbance.half_widths)
-    lower, upper = available_increments(
-        task.aircraft, nominal.states[beats], nominal.controls[beats], coordinates, seen
-    )
-    limit = np.minimum(-lower, upper)
-    inside = np.sum(np.abs(gains) * seen[:, None, :], axis=-1) <= (1.0 + 1e-6) * limit + 1e-12
-    return np.stack([inside[:, part.controls].all(1) for part in settings.parts], axis=1)
+def _told(task: Task, laws: dict[str, Any]) -> list[str]:
+    """One sentence if certificates are less than was asked for."""
+    asked = KINDS.index(task.settings.certificate)
+    kinds = laws["kinds"]
+    less = (kinds >= 0) & (kinds < asked)
+    if not less.any():
+        return []
+    found = ", ".join(f"{int((kinds[less] == number).sum())} {KINDS[number]}" for number in np.unique(kinds[less]))
+    return [f"certificates are less than {KINDS[asked]!r}, which takes longer than a flight has or failed: {found}."]
 
 
 def _padded(gains: Array, first: int, beats: int) -> Array:

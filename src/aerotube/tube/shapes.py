@@ -14,6 +14,7 @@ in which :math:`\nu` counts what measurement noise, fed back, will add; the shap
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
@@ -150,9 +151,17 @@ def cost_to_go(A: Array, B: Array, Q: Array, R: Array, noise_weight: float = 0.0
     beats, n, m = B.shape
     cost, gain = np.empty((beats + 1, n, n)), np.empty((beats, m, n))
     cost[beats] = Q[beats]
-    for t in range(beats - 1, -1, -1):
-        pb = cost[t + 1] @ B[t]
-        gain[t] = -np.linalg.solve(R[t] + (1.0 + noise_weight) * (B[t].T @ pb), pb.T @ A[t])
-        value = Q[t] + A[t].T @ cost[t + 1] @ A[t] + A[t].T @ pb @ gain[t]
-        cost[t] = 0.5 * (value + value.T)
+    A, B, Q, R = (np.ascontiguousarray(x, dtype=float) for x in (A, B, Q, R))
+    _recur(A, B, Q, R, float(noise_weight), cost, gain)
     return cost, gain
+
+
+@njit(cache=True, nogil=True)
+def _recur(A: Array, B: Array, Q: Array, R: Array, noise_weight: float, cost: Array, gain: Array) -> None:
+    for t in range(len(B) - 1, -1, -1):
+        back = np.ascontiguousarray(A[t].T)
+        pb = cost[t + 1] @ B[t]
+        met, seen = np.ascontiguousarray(B[t].T) @ pb, np.ascontiguousarray(pb.T) @ A[t]
+        gain[t] = -np.linalg.solve(R[t] + (1.0 + noise_weight) * met, seen)
+        value = Q[t] + back @ cost[t + 1] @ A[t] + back @ pb @ gain[t]
+        cost[t] = 0.5 * (value + value.T)
