@@ -21,8 +21,6 @@ from benchmarks.solvers import own
 
 Say = Callable[[str], None]
 ORDER = 48
-CHAIN = 10
-"""Beats in a row that start from one another, as where laws are designed in flight."""
 
 
 @njit(cache=True, nogil=True)
@@ -92,19 +90,19 @@ def measure(programs: Sequence[Program], threads: Sequence[int], solves: int | N
     start = time.perf_counter()
     structure, data = own.prepare_batch(programs)
     setup = time.perf_counter() - start
-    sos.solve(structure, data, chain=CHAIN)
-    solution = sos.solve(structure, data, chain=CHAIN)
+    sos.solve(structure, data)
+    solution = sos.solve(structure, data)
     control = Control(len(programs), float(np.median(solution.seconds)))
     seconds: dict[tuple[str, int], list[float]] = {(w, t): [] for w in ("aerotube", "control") for t in threads}
     start = time.perf_counter()
-    sos.solve(structure, data, chain=CHAIN)
+    sos.solve(structure, data)
     rounds = wanted(time.perf_counter() - start)
     rounds = rounds if solves is None else min(rounds, solves)
     for k in range(rounds):
         say(f"batch: round {k} of {rounds}")
         for count in threads:
             start = time.perf_counter()
-            solution = sos.solve(structure, data, workers=count, chain=CHAIN)
+            solution = sos.solve(structure, data, workers=count)
             seconds["aerotube", count].append(time.perf_counter() - start)
             seconds["control", count].append(control.run(count))
     bound = float(np.sum(solution.certificate().bound))

@@ -89,7 +89,6 @@ def design(
     beats: range | Beats | None = None,
     workers: int = 1,
     deadline: float | None = None,
-    chained: bool = False,
     progress: Progress | None = None,
     ground: Groundwork | None = None,
 ) -> Design:
@@ -110,10 +109,6 @@ def design(
         Threads that solve; the numbers do not depend on it.
     deadline : float, optional
         Seconds allowed for each program; see ``stopped`` of :class:`Design`.
-    chained : bool
-        Start programs of neighbouring beats from one another, which saves a third of the time. Laws then depend on the
-        beats that are asked for: as good as any within the solver's tolerance, which leaves directions that matter
-        little in the hundredths.
     progress : callable, optional
         Called with the number of programs solved and their total.
     ground : Groundwork, optional
@@ -133,7 +128,7 @@ def design(
     settings = settings or SynthesisSettings()
     chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
     ground = groundwork(aircraft, nominal, disturbance, settings) if ground is None else ground
-    task = Task(aircraft, nominal, disturbance, settings, ground, workers, deadline, chained)
+    task = Task(aircraft, nominal, disturbance, settings, ground, workers, deadline)
     groups = _groups(chosen, nominal.beats, settings.reuse + 1)
     total = len(settings.parts) * sum(len(rows) for rows in groups)
     done = 0

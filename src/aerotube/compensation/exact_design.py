@@ -22,8 +22,6 @@ Beats = NDArray[np.intp]
 _MEMORY = 2e8
 # Rounds in which the weights of a trace follow the ellipsoid found, so that the last is of the volume.
 _ROUNDS = 3
-# Programs in a row, at most, of which each starts from where the one before was on its way.
-_NEIGHBOURS = 10
 _NO_ROWS = np.empty(0, dtype=np.intp)
 
 
@@ -169,7 +167,7 @@ def _solved(task: Task, shape: Shape, data: GroupData, names: list[tuple[int, Be
     each = 8.0 * sum(
         sum(float(np.prod(size)) for size in c.shapes(structure.size).values()) for c in structure.constraints
     )
-    count = max(_NEIGHBOURS, int(_MEMORY / each))
+    count = max(2 * task.workers, int(_MEMORY / each))
     found: list[PartLaws] = []
     for start in range(0, len(names), count):
         some = np.arange(start, min(start + count, len(names)))
@@ -190,12 +188,6 @@ def _solved(task: Task, shape: Shape, data: GroupData, names: list[tuple[int, Be
     )
 
 
-def _chain(names: list[tuple[int, Beats]]) -> int:
-    """Programs in a row that start from one another: neighbouring beats of one part, whatever the number of workers."""
-    own = [index for index, _ in names].count(names[0][0])
-    return max(k for k in range(1, _NEIGHBOURS + 1) if own % k == 0)
-
-
 def _solved_together(task: Task, shape: Shape, data: GroupData, names: list[tuple[int, Beats]]) -> PartLaws:
     structure, scaling = law_program.structure(shape), law_program.scale(data)
     seconds = np.zeros(len(names))
@@ -203,12 +195,7 @@ def _solved_together(task: Task, shape: Shape, data: GroupData, names: list[tupl
     for turn in range(rounds):
         problem = law_program.program_data(shape, data, scaling)
         solution = sos.solve(
-            structure,
-            problem,
-            backend=task.settings.backend,
-            deadline=task.deadline,
-            workers=task.workers,
-            chain=_chain(names) if task.chained else 1,
+            structure, problem, backend=task.settings.backend, deadline=task.deadline, workers=task.workers
         )
         seconds += solution.seconds
         if turn + 1 < rounds:

@@ -33,7 +33,6 @@ class Task:
     ground: Groundwork
     workers: int
     deadline: float | None
-    chained: bool = False
 
 
 @dataclass(frozen=True)

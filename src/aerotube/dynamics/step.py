@@ -121,7 +121,8 @@ def step(
         for array in arrays:
             full = array if array.shape[:-1] == batch else np.broadcast_to(array, (*batch, array.shape[-1]))
             rows.append(np.ascontiguousarray(full).reshape(-1, array.shape[-1]))
-        return np.asarray(quick(rows[0], rows[1], rows[2], rows[3], dt, substeps)).reshape(*batch, -1)
+        made = np.asarray(quick(rows[0], rows[1], rows[2], rows[3], dt, substeps))
+        return made.reshape(*batch, made.shape[-1])
 
     def optional(values: Array | None) -> Components | None:
         return None if values is None else split(values)

@@ -67,19 +67,23 @@ def increments(
 def _monomials(
     error: Array, reach: Array, factors: NDArray[np.int64], part_of: NDArray[np.int64], values: Array
 ) -> None:
-    """Write the monomials (M,) of an error, those of higher degree of the error brought back to the set's boundary."""
-    length = np.zeros(8)
+    """Write the monomials (M,) of an error: beyond the set, of the error brought back, times how far it is out."""
+    beyond = np.zeros(8)
     for i in range(8):
         z = 0.0
         for j in range(8):
             z += reach[i, j] * error[j]
-        length[part_of[i]] += z * z
+        beyond[part_of[i]] += z * z
     for i in range(8):
-        values[i] = error[i] / max(np.sqrt(length[part_of[i]]), 1.0)
+        beyond[i] = max(np.sqrt(beyond[i]), 1.0)
+    for i in range(8):
+        values[i] = error[i] / beyond[part_of[i]]
     for row in range(len(factors)):
         values[8 + row] = values[factors[row, 0]] * values[factors[row, 1]]
     for i in range(8):
         values[i] = error[i]
+    for row in range(len(factors)):
+        values[8 + row] *= beyond[part_of[factors[row, 1]]]
 
 
 @njit(cache=True)

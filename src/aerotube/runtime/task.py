@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube.aircraft.base import Aircraft
-from aerotube.compensation import Design, SynthesisSettings, design
+from aerotube.compensation import Design, LinearLaw, SynthesisSettings, design
 from aerotube.compensation.groundwork import groundwork
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.nominal import Nominal
@@ -83,14 +83,7 @@ def design_in(task: Task, nominal: Nominal, beats: NDArray[np.intp], budget: flo
 
     def some(own: NDArray[np.intp], deadline: float | None, workers: int) -> Design:
         return design(
-            task.aircraft,
-            nominal,
-            task.disturbance,
-            task.settings,
-            beats=own,
-            workers=workers,
-            deadline=deadline,
-            chained=True,
+            task.aircraft, nominal, task.disturbance, task.settings, beats=own, workers=workers, deadline=deadline
         )
 
     if budget is None:
@@ -124,7 +117,7 @@ def _joined(designs: list[Design]) -> Design:
         return np.concatenate([getattr(one, name) for one in designs])
 
     law: Any = first.law
-    held = "coefficients" if hasattr(law, "coefficients") else "gains"
+    held = "gains" if isinstance(law, LinearLaw) else "coefficients"
     return replace(
         first,
         law=replace(law, **{held: np.sum([getattr(one.law, held) for one in designs], axis=0)}),

@@ -48,7 +48,8 @@ def solve(
     chain : int
         Programs of a batch in a row of which each starts from where the one before was on its way (``"aerotube"``
         only), which saves a quarter of the iterations where neighbours are alike, as the beats of a manoeuvre are.
-        The numbers depend on it within the tolerance, not on `workers`.
+        The numbers depend on it within the tolerance, not on `workers`: directions in which the objective is flat may
+        come out otherwise, which is why laws are designed without.
     tolerance : float
         Relative gap asked for; feasibility is asked to a tenth of it.
     iterations : int
