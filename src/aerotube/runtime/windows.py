@@ -252,8 +252,7 @@ def _take(
 ) -> None:
     """Put the laws of a design in their places."""
     place = np.searchsorted(made.beats, own[fresh])
-    coefficients = getattr(made.law, "coefficients", made.law.gains)
-    reach = getattr(made.law, "unwhitening", None)
+    coefficients, reach = made.law.coefficients, made.law.unwhitening
     for i, part in enumerate(task.settings.parts):
         there = made.feasible[place, i] | made.stopped[place, i]
         at = fresh[there]

@@ -25,6 +25,7 @@ from aerotube.tube.disturbance import Array, DisturbanceSet, check_relative, che
 
 _DRAWS = 100_000  # points tried at a time
 _ROUNDS = 100
+_TOLERANCE = 1e-8  # sets are measured once and for all that follows: more exactly than laws are found
 
 
 @dataclass(frozen=True)
@@ -194,7 +195,7 @@ class SemialgebraicSet(DisturbanceSet):
     def _least(self, structure: sos.Structure, values: Array, what: str) -> Array:
         """Least bound of functions on the set, from their values (b, U) at the nodes: ndarray (b,)."""
         data = structure.data(objective=np.ones(1), constraints={"inside": (-values, np.ones((values.shape[1], 1)))})
-        solution = sos.solve(structure, data)
+        solution = sos.solve(structure, data, tolerance=_TOLERANCE)
         return np.asarray(solution["bound"] + _deficit(solution, what))
 
     def _least_volume(self, errors: Sequence[int]) -> tuple[Array, float]:
@@ -211,7 +212,7 @@ class SemialgebraicSet(DisturbanceSet):
             objective=np.zeros(structure.size),
             constraints={"inside": (np.ones(len(z)), linear), "volume": (np.zeros((n, n)), forms)},
         )
-        solution = sos.solve(structure, data)
+        solution = sos.solve(structure, data, tolerance=_TOLERANCE)
         rho = 1.0 + float(_deficit(solution, "volume"))
         form = np.asarray(solution["E"]) / (unit[own][:, None] * unit[own])
         return 0.5 * (form + form.T), rho
