@@ -11,8 +11,9 @@ In scaled data the program and its dual are, with the homogenising variables tau
 Two variants share every line: tau = 1, kappa = 0 and separate steps for the unknowns of the program and of its dual
 (faster, and the first choice), and the self-dual embedding with one common step (slower, but it ends in a certificate
 where there is no optimum). Eliminating everything but d leaves a system of the order of the decision vector, to which
-constraint i adds V_i' V_i: V = L^-1 C with L the factor of a sampled constraint's Schur complement, V = W^-1 G for
-a cone, and V_j = L_Q' F_j L_Z^-T for a matrix inequality. The constants c, F0, h ride along as one more column.
+constraint i adds V_i' V_i: V = R'^-1 C with R'R a sampled constraint's Schur complement, V = W^-1 G for a cone, and
+V_j = W F_j W' for a matrix inequality, with the scalings W of Nesterov and Todd. The constants c, F0, h ride along as
+one more column.
 Source: Mehrotra's predictor-corrector method, as in M. J. Todd, K. C. Toh, R. H. Tutuncu, "On the Nesterov-Todd
 direction in semidefinite programming", SIAM J. Optim. 8 (1998), and Y. Ye, M. J. Todd, S. Mizuno (1994).
 """
