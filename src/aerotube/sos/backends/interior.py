@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,10 @@ from aerotube.sos.interior.layout import (
 from aerotube.sos.program import Data, Structure
 from aerotube.sos.solution import Status
 
-_STATUS = {-1: Status.TROUBLE, 0: Status.OPTIMAL, 2: Status.INFEASIBLE, 3: Status.UNBOUNDED, 4: Status.TROUBLE}
+# By the method's own number; its last, -1, is that of a solve that was still running.
+_STATUS = np.array(
+    [Status.OPTIMAL, Status.TROUBLE, Status.INFEASIBLE, Status.UNBOUNDED, Status.TROUBLE, Status.TROUBLE]
+).astype(np.int64)
 _PRIMAL, _DUAL, _GAP = 0, 1, 2
 _LARGE = 150
 """Nodes of a constraint that is worth handing to another thread."""
@@ -202,7 +206,7 @@ def solve(
         else:
             with ThreadPoolExecutor(min(workers, -(-count // chain))) as pool:
                 list(pool.map(work, range(0, count, chain)))
-    return _answers(structure, data, lay, out, taken, late)
+    return _answers(structure, data, out, taken, late)
 
 
 def _compiled(together: bool, unhurried: bool) -> bool:
@@ -256,25 +260,29 @@ class _SingleThreadedBlas:
 _single_threaded_blas = _SingleThreadedBlas()
 
 
-def _answers(structure: Structure, data: Data, lay: Layout, out: Array, taken: Array, late: Array) -> dict[str, Any]:
-    batch, m = data.batch, structure.size
-    matrices = run.NUMBERS + m
+@lru_cache(maxsize=64)
+def _places(structure: Structure) -> list[tuple[str, str, list[tuple[int, int]], tuple[int, int]]]:
+    """Name and kind of every constraint; offset and order of its matrices, offset and length of its multiplier."""
+    lay, found = layout(structure), []
+    matrices = run.NUMBERS + structure.size
     vectors = matrices + int(lay.at[MATRICES])
+    for i, c in enumerate(structure.constraints):
+        blocks = range(int(lay.con[FIRST, i]), int(lay.con[LAST, i]))
+        own = [(matrices + int(lay.blk[MATRIX, b]), int(lay.blk[ORDER, b])) for b in blocks]
+        found.append((c.name, c.kind, own, (vectors + int(lay.con[VECTOR, i]), int(lay.con[ROWS, i]))))
+    return found
+
+
+def _answers(structure: Structure, data: Data, out: Array, taken: Array, late: Array) -> dict[str, Any]:
+    batch, m = data.batch, structure.size
     grams: dict[str, tuple[Array, ...]] = {}
     multipliers: dict[str, Array] = {}
-    for i, c in enumerate(structure.constraints):
-        found = []
-        for b in range(int(lay.con[FIRST, i]), int(lay.con[LAST, i])):
-            n, at = int(lay.blk[ORDER, b]), matrices + int(lay.blk[MATRIX, b])
-            found.append(out[:, at : at + n * n].reshape(*batch, n, n))
-        if c.kind == "sos":
-            grams[c.name] = tuple(found)
-        if c.kind in ("lmi", "logdet"):
-            multipliers[c.name] = found[0]
-        else:
-            at, rows = vectors + int(lay.con[VECTOR, i]), int(lay.con[ROWS, i])
-            multipliers[c.name] = out[:, at : at + rows].reshape(*batch, rows)
-    status = np.array([_STATUS[int(k)] for k in out[:, 3]], dtype=np.int64)
+    for name, kind, places, (at, rows) in _places(structure):
+        found = [out[:, start : start + n * n].reshape(*batch, n, n) for start, n in places]
+        if kind == "sos":
+            grams[name] = tuple(found)
+        multipliers[name] = found[0] if kind in ("lmi", "logdet") else out[:, at : at + rows].reshape(*batch, rows)
+    status = _STATUS[out[:, 3].astype(np.int64)]
     status[late.astype(bool)] = Status.DEADLINE
     return {
         "values": out[:, run.NUMBERS : run.NUMBERS + m].reshape(*batch, m),
