@@ -1,9 +1,13 @@
 """Programs, structures, data, and solutions by the second backend."""
 
+import sys
+
 import numpy as np
 import pytest
 
 from aerotube import sos
+from aerotube.compensation import SynthesisSettings
+from aerotube.errors import InputError
 from tests.sos.programs import maximum_data, maximum_program, tube_data, tube_program
 
 
@@ -43,6 +47,18 @@ def test_data_that_are_not_finite_are_refused_by_name(tube, bad):
     late.constraints["tube/1"]["c"][4] = bad
     with pytest.raises(ValueError, match="'tube/1'"):
         sos.solve(tube, late, backend="clarabel")
+
+
+def test_a_backend_that_is_not_there_is_refused(tube, monkeypatch):
+    data = tube_data(tube, 0)
+    with pytest.raises(ValueError, match="no backend 'sedumi'"):
+        sos.solve(tube, data, backend="sedumi")
+    monkeypatch.setattr(sys.modules["aerotube.sos.solve"], "find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r"not installed; install aerotube\[clarabel\]"):
+        sos.solve(tube, data, backend="clarabel")
+    with pytest.raises(InputError, match="not installed"):
+        SynthesisSettings(backend="clarabel")
+    assert sos.solve(tube, data).optimal
 
 
 def test_data_of_the_wrong_shape_or_name_are_refused(tube):

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from aerotube import sos
 from aerotube.errors import InputError
 
 Algorithm = Literal["decoupled", "coupled"]
@@ -189,6 +190,10 @@ class SynthesisSettings:
             raise InputError(f"synthesis: confidence is {self.confidence}; it must be between 0 and 1.")
         if self.degree < 2 or self.degree % 2:
             raise InputError(f"synthesis: degree is {self.degree}; it must be even and at least 2.")
+        try:
+            sos.check_backend(self.backend)
+        except ValueError as error:
+            raise InputError(f"synthesis: {error}") from None
 
     def _check_law(self) -> None:
         joint = [name for name, _ in self.weights if name in ("trace", "volume")]

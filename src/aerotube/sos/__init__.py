@@ -15,7 +15,7 @@ from aerotube.sos.check import check_file
 from aerotube.sos.domain import Ball, Domain, Interval, Product, Sphere
 from aerotube.sos.program import Constraint, Data, Program, Structure, Variable
 from aerotube.sos.solution import Solution, Status
-from aerotube.sos.solve import solve
+from aerotube.sos.solve import check_backend, solve
 
 __all__ = [
     "Ball",
@@ -32,6 +32,7 @@ __all__ = [
     "Status",
     "Structure",
     "Variable",
+    "check_backend",
     "check_file",
     "solve",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ def solve(
     data : Data
         Of this structure.
     backend : str
-        ``"aerotube"``, the project's own interior-point method, or ``"clarabel"``.
+        ``"aerotube"``, the project's own interior-point method, or ``"clarabel"``, where that is installed.
     deadline : float, optional
         Seconds allowed for each program.
     workers : int
@@ -63,12 +64,12 @@ def solve(
     Raises
     ------
     ValueError
-        If the data are of another structure, hold a number that is not finite, or an option is unknown.
+        If the data are of another structure, hold a number that is not finite, or an option is unknown or not
+        installed.
     """
     if data.structure != structure:
         raise ValueError("the data were made for another structure; make them with this structure's own data().")
-    if backend not in BACKENDS:
-        raise ValueError(f"there is no backend '{backend}'; choose one of {BACKENDS}.")
+    check_backend(backend)
     if deadline is not None and not deadline > 0.0:
         raise ValueError(f"the deadline must be positive, got {deadline} s.")
     if min(workers, threads, chain) < 1:
@@ -108,6 +109,19 @@ def solve(
         with threadpool_limits(limits=1), ThreadPoolExecutor(workers) as pool:
             results = list(pool.map(run, range(data.count)))
     return _gather(structure, data, backend, results)
+
+
+def check_backend(backend: str) -> None:
+    """Refuse a backend that does not exist or is not installed.
+
+    Raises
+    ------
+    ValueError
+    """
+    if backend not in BACKENDS:
+        raise ValueError(f"there is no backend '{backend}'; choose one of {BACKENDS}.")
+    if backend == "clarabel" and find_spec("clarabel") is None:
+        raise ValueError("the backend 'clarabel' is not installed; install aerotube[clarabel], or choose 'aerotube'.")
 
 
 def objectives(data: Data, values: Array) -> Array:
