@@ -199,3 +199,20 @@ def test_a_mean_square_above_every_extreme_is_no_less_than_their_mean():
     assert each.feasible.all()
     assert np.all(each.bound >= mean.bound * (1.0 - 1e-6))
     assert np.any(each.bound > mean.bound * (1.0 + 1e-4))
+
+
+@pytest.mark.slow
+def test_a_cubic_law_of_all_eight_errors_keeps_to_its_limits():
+    plane, nominal = aircraft(), table2(2)
+    made = design(plane, nominal, BOX, SynthesisSettings(algorithm="coupled", law_degree=3), beats=range(1))
+    assert made.feasible[:1].all()
+    assert np.abs(made.law.coefficients[0, :, 8:]).max() > 0
+    coordinates = made.law.coordinates
+    share = np.random.default_rng(6).uniform(-1, 1, (2000, 8))
+    share[:256] = np.array(np.meshgrid(*[[-1, 1]] * 8)).reshape(8, -1).T
+    # corners of the set in the law's coordinates, and points inside
+    found = made.law.increment(0, share * coordinates.box(nominal.states[:1], HALF_WIDTHS))
+    lower, upper = plane.virtual_limits(nominal.states[:1], nominal.controls[:1])
+    room = upper - lower
+    assert np.all(found >= lower - 1e-6 * room)
+    assert np.all(found <= upper + 1e-6 * room)

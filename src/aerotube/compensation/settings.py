@@ -65,7 +65,8 @@ class SynthesisSettings:
         The metric in which the error at the end of a beat is measured, see :mod:`aerotube.tube.shapes`.
     law_degree : int
         Degree of the law, 1 to 3. The sums of squares get twice that degree at least. On the manoeuvre of Table 2 laws
-        of degree 2 and 3 fly better than linear ones, by 0.4 to 4 percent.
+        of degree 2 and 3 fly better than linear ones, by 0.4 to 4 percent. A coupled law of degree 3 takes seconds to
+        find and a minute or two to certify, each beat.
     reuse : int
         Beats for which a law is used again after its own (the paper's Section 3.1): one program serves ``reuse +
         1`` beats. Of the exact map only: the increment form's program has the ellipsoids of one beat.
@@ -170,11 +171,6 @@ class SynthesisSettings:
         self._check_size()
         if self.law_degree not in (1, 2, 3):
             raise InputError(f"synthesis: law_degree is {self.law_degree}; it must be 1, 2 or 3.")
-        if self.algorithm == "coupled" and self.law_degree == 3:
-            raise InputError(
-                "synthesis: a law of degree 3 in all eight errors is too large a program; choose law_degree = 2, or "
-                "the algorithm 'decoupled'."
-            )
         self._check_law()
         if self.reuse < 0:
             raise InputError(f"synthesis: reuse is {self.reuse}; it must not be negative.")
