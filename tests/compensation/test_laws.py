@@ -178,7 +178,6 @@ def test_a_rate_that_cannot_be_kept_is_named():
     ("change", "words"),
     [
         ({"law_degree": 4}, "law_degree"),
-        ({"law_degree": 3, "algorithm": "coupled"}, "law_degree"),
         ({"law_degree": 3, "size": "trace"}, "trace"),
         ({"size": {"worst-case": -1.0}}, "worst-case"),
         ({"size": {}}, "empty"),
