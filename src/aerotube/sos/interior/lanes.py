@@ -36,10 +36,14 @@ class _Writer:
         self.fused = builder.module.declare_intrinsic(f"llvm.fmuladd.v{LANES}f64", (), _FUSED)
         self.root = builder.module.declare_intrinsic("llvm.sqrt", [_REAL])
 
+    def base(self, at: int) -> Any:
+        """Address of an array argument's first number."""
+        array = self.context.make_array(self.signature.args[at])(self.context, self.builder, self.arguments[at])
+        return array.data
+
     def place(self, at: int) -> Any:
         """Address that an array argument and the offset after it name."""
-        array = self.context.make_array(self.signature.args[at])(self.context, self.builder, self.arguments[at])
-        return self.builder.gep(array.data, [self.arguments[at + 1]])
+        return self.step(self.base(at), self.arguments[at + 1])
 
     def vector(self, pointer: Any) -> Any:
         return self.builder.load(self.builder.bitcast(pointer, _VECTOR.as_pointer()), align=8)
@@ -153,8 +157,8 @@ def _make_hadamard(wide: int) -> Any:
             w = _Writer(ctx, builder, signature, arguments)
             stride, count = arguments[6], arguments[7]
             first, second = (
-                w.accumulate(_zeros(wide), w.place(at), stride, w.step(base, arguments[at + 2]), stride, count, 1)
-                for at, base in ((0, _base(w, 0)), (3, _base(w, 3)))
+                w.accumulate(_zeros(wide), w.place(at), stride, w.step(w.base(at), arguments[at + 2]), stride, count, 1)
+                for at in (0, 3)
             )
             out, row_stride = w.place(8), arguments[10]
             fresh = builder.icmp_signed("!=", arguments[11], ir.Constant(arguments[11].type, 0))
@@ -179,10 +183,6 @@ def _make_hadamard(wide: int) -> Any:
     return hadamard
 
 
-def _base(w: _Writer, at: int) -> Any:
-    return w.context.make_array(w.signature.args[at])(w.context, w.builder, w.arguments[at]).data
-
-
 def _make_eliminate(wide: int) -> Any:
     @_intrinsic
     def eliminate(
@@ -191,7 +191,7 @@ def _make_eliminate(wide: int) -> Any:
     ) -> Any:  # fmt: skip
         def generate(ctx: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             w = _Writer(ctx, builder, signature, arguments)
-            base, stride = _base(w, 0), arguments[5]
+            base, stride = w.base(0), arguments[5]
             left, out, corner, right = (w.step(base, arguments[at]) for at in (1, 2, 3, 4))
             tile = w.accumulate(w.load_tile(out, stride, wide), left, stride, right, stride, arguments[6], -1)
             w.store_tile(w.solve(tile, corner, stride, w.place(7)), out, stride)
@@ -237,7 +237,7 @@ def subtract_rows(context: Any, a: Any, at: Any, row: Any, count: Any, x: Any, x
     def generate(ctx: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         w = _Writer(ctx, builder, signature, arguments)
         rows, target = w.rows(w.place(0), arguments[2]), w.place(4)
-        factors = w.step(_base(w, 4), arguments[6])
+        factors = w.step(w.base(4), arguments[6])
         spread = [w.spread(builder.fneg(builder.load(w.step(factors, r)))) for r in range(LANES)]
         with _counted(builder, arguments[3]) as (k, _):
             place = w.step(target, k)
@@ -257,10 +257,8 @@ def subtract_products(context: Any, a: Any, at: Any, row: Any, count: Any, x: An
     def generate(ctx: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         w = _Writer(ctx, builder, signature, arguments)
         rows, right = w.rows(w.place(0), arguments[2]), w.place(4)
-        out = w.step(_base(w, 4), arguments[6])
+        out = w.step(w.base(4), arguments[6])
         rooms = [cgutils.alloca_once_value(builder, ir.Constant(_VECTOR, [0.0] * LANES)) for _ in range(LANES)]
-        for room in rooms:
-            builder.store(ir.Constant(_VECTOR, [0.0] * LANES), room)
         with _counted(builder, arguments[3]) as (k, _):
             column = w.vector(w.step(right, k))
             for r in range(LANES):
@@ -316,7 +314,7 @@ def corner(context: Any, a: Any, tile_at: Any, above_at: Any, row: Any, k: Any, 
 
     def generate(ctx: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         w = _Writer(ctx, builder, signature, arguments)
-        base, stride = _base(w, 0), arguments[3]
+        base, stride = w.base(0), arguments[3]
         out, above, inverse_at = w.step(base, arguments[1]), w.step(base, arguments[2]), w.place(5)
         tile = w.accumulate(w.load_tile(out, stride, 1), above, stride, above, stride, arguments[4], -1)
         rows, good = [row[0] for row in tile], ir.Constant(ir.IntType(1), 1)

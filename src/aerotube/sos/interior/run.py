@@ -71,7 +71,7 @@ WARM_MOST = 30
 
 @entry
 def begin(lay, st, flat, warm):  # type: ignore[no-untyped-def]
-    """Load a program and set the starting point: if warm, on the way of the program before, which returns True."""
+    """Load a program and set its starting point; True if that is on the way of the program before, as warm asks for."""
     scaling.unpack(lay, st, flat)
     number = numbers(lay, st)
     number[BEST] = number[BEST_PRIMAL] = number[BEST_DUAL] = number[BEST_GAP] = np.inf

@@ -109,14 +109,6 @@ def copy(source, out):  # type: ignore[no-untyped-def]
 
 
 @inner
-def copy_matrix(source, out):  # type: ignore[no-untyped-def]
-    """Copy a matrix."""
-    for i in range(source.shape[0]):
-        for j in range(source.shape[1]):
-            out[i, j] = source[i, j]
-
-
-@inner
 def largest(a):  # type: ignore[no-untyped-def]
     """Largest magnitude of a flat array."""
     top = 0.0
