@@ -251,8 +251,6 @@ def component_law(law: BatchLaw, beats: Beats) -> ComponentLaw:
     """
     coefficients, exponents = getattr(law, "coefficients", None), getattr(law, "exponents", None)
     if coefficients is None or exponents is None:
-        coefficients, exponents = getattr(law, "gains", None), np.eye(8, dtype=np.int64)
-    if coefficients is None:
         raise ComputationError(f"enclosure of the error map: a {type(law).__name__} has no polynomial components.")
     room = getattr(law, "room", None)
     return polynomial_law(coefficients[beats], exponents, None if room is None else room[beats])

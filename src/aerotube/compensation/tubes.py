@@ -224,7 +224,7 @@ def certified_size(
     beats: range | NDArray[np.intp] | None = None,
     workers: int = 1,
 ) -> Array:
-    """Sizes of the tubes with a law, and nothing else of what :func:`measure` gives: for use in flight.
+    """Sizes of the tubes with a law, and nothing else of what :func:`measure` gives: for the gauge.
 
     Parameters
     ----------
