@@ -46,6 +46,9 @@ class Faults:
         By kind.
     by_beat : dict of int to str
         What was done to the measurement of a beat.
+    given_back : set of int
+        Beats whose true measurement came once more, replayed later: one that was spoiled may be flown with it after
+        all, where the controller still waits.
     windows : set of int
         Windows (by their first beat) at which a worker was hit.
     """
@@ -62,6 +65,7 @@ class Faults:
             raise InputError(f"faults: a share of {self.share:g} is asked for; give 0 to 1.")
         self.injected: Counter[str] = Counter()
         self.by_beat: dict[int, str] = {}
+        self.given_back: set[int] = set()
         self.windows: set[int] = set()
         self._link = np.random.default_rng([self.seed, 0])
         self._workers = np.random.default_rng([self.seed, 1])
@@ -102,7 +106,7 @@ class FaultyChannel:
         self._inner, self._faults = inner, faults
         self._ready: deque[bytes] = deque()
         self._late: deque[tuple[int, bytes]] = deque()
-        self._old: deque[bytes] = deque(maxlen=50)
+        self._old: deque[tuple[int, bytes]] = deque(maxlen=50)
 
     def send(self, data: bytes) -> None:
         """Send as it is."""
@@ -136,7 +140,7 @@ class FaultyChannel:
     def _hit(self, data: bytes, message: Message) -> None:
         random = self._faults._link
         kind = self._faults.of_link(message.beat)
-        self._old.append(data)
+        self._old.append((message.beat, data))
         if kind == "drop":
             return
         if kind == "delay":
@@ -144,8 +148,9 @@ class FaultyChannel:
             return
         if kind == "corrupt":
             spoiled = bytearray(data)
-            for place in random.integers(0, len(data), 1 + random.integers(4)):
-                spoiled[place] ^= 1 << int(random.integers(8))
+            # bits that differ: the same one twice would be none
+            for bit in random.choice(8 * len(data), 1 + random.integers(4), replace=False):
+                spoiled[bit // 8] ^= 1 << int(bit % 8)
             self._ready.append(bytes(spoiled))
             return
         if kind in ("nan", "spike"):
@@ -163,7 +168,9 @@ class FaultyChannel:
             )
             self._ready.append(stranger.encode())
         if kind == "replay":
-            self._ready.append(self._old[int(random.integers(len(self._old)))])
+            beat, old = self._old[int(random.integers(len(self._old)))]
+            self._faults.given_back.add(beat)
+            self._ready.append(old)
         self._ready.append(data)
         if kind == "repeat":
             self._ready.append(data)
