@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 from aerotube.aircraft import F16, state_derivatives
+from aerotube.dynamics.components import join, split
+from aerotube.dynamics.step import step as step_map
+from aerotube.dynamics.step import step_components
 from tests.aircraft.samples import states
 
 OPTIONS = [{}, {"interpolation": "smooth", "engine_momentum": 0.0}, {"engine_lag": True, "xcg": 0.33}]
@@ -88,3 +91,37 @@ def test_other_equations_are_not_flown_by_compiled_ones():
     assert Heavier().compiled_step() is None
     assert Heavier().compiled_realise() is None
     assert F16().compiled_step() is not None
+
+
+@pytest.mark.parametrize("options", [{}, {"interpolation": "smooth"}, {"uncertain": ("mass", "lift")}])
+def test_compiled_step_with_increments_is_the_numpy_step(options):
+    aircraft, (state, control) = F16(**options), states(40, seed=65)
+    random = np.random.default_rng(66)
+    increment = random.uniform(-1.0, 1.0, (40, 4)) * [0.1, 2e4, 0.1, 0.1]
+    parameters = random.uniform(0.95, 1.05, (40, len(aircraft.parameter_names)))
+    wind = random.uniform(-5.0, 5.0, (40, 6)) * [1, 1, 1, 0.01, 0.01, 0.01]
+    found = aircraft.compiled_virtual_step()(state, control, increment, parameters, wind, 0.05, 2)
+    expected = join(
+        step_components(
+            aircraft, split(state), split(control), 0.05, split(parameters), split(wind), split(increment), substeps=2
+        )
+    )
+    assert found == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    assert np.array_equal(found, step_map(aircraft, state, control, 0.05, parameters, wind, increment, substeps=2))
+    for_all = aircraft.compiled_virtual_step()(state, control, increment[:1], parameters, wind, 0.05, 2)
+    one_by_one = aircraft.compiled_virtual_step()(
+        state, control, np.repeat(increment[:1], 40, axis=0), parameters, wind, 0.05, 2
+    )
+    assert np.array_equal(for_all, one_by_one)
+    with pytest.raises(ValueError, match=r"increments of shape \(7, 4\)"):
+        aircraft.compiled_virtual_step()(state, control, increment[:7], parameters, wind, 0.05, 2)
+
+
+def test_there_is_no_compiled_step_with_increments_of_other_equations():
+    class Sluggish(F16):
+        def rates_virtual(self, state, control, increment, parameters=None, wind=None):
+            return super().rates_virtual(state, control, [0.5 * part for part in increment], parameters, wind)
+
+    assert Sluggish().compiled_virtual_step() is None
+    assert Sluggish().compiled_step() is not None
+    assert F16(engine_lag=True).compiled_virtual_step() is None

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from aerotube.dynamics import ErrorCoordinates, error_map, linearise, step, taylor_map
+from aerotube.dynamics import ErrorCoordinates, error_map, linearise, slopes, step, taylor_map
 from tests.samples import HALF_WIDTHS, aircraft, table2
 
 CHART = ErrorCoordinates()
@@ -100,3 +100,18 @@ def test_linearisation_agrees_with_differences(interpolation):
     unit = np.array([0.1, 1e4, 0.1, 0.1])
     np.testing.assert_allclose(linear.B * unit / HALF_WIDTHS[:, None], slope * unit / HALF_WIDTHS[:, None], atol=1e-5)
     np.testing.assert_allclose(linear.offset, 0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("kind", ["relative", "euler"])
+def test_slopes_are_the_linearisation(kind):
+    plane, nominal, chart = aircraft(), table2(6), ErrorCoordinates(kind)
+    scale = HALF_WIDTHS / HALF_WIDTHS[:, None]  # so that errors are in half-widths
+    span = 0.5 * np.ptp(plane.virtual_limits(nominal.states[0], nominal.controls[0]), axis=0)
+    for mass in (1.0, 0.95):
+        expected = linearise(plane, nominal, chart, [mass])
+        found = slopes(plane, nominal, [4, 1], chart, np.full((2, 1), mass))
+        for row, beat in enumerate((4, 1)):
+            np.testing.assert_allclose(found.A[row] * scale, expected.A[beat] * scale, rtol=0, atol=1e-7)
+            moved = found.B[row] * span / HALF_WIDTHS[:, None]
+            np.testing.assert_allclose(moved, expected.B[beat] * span / HALF_WIDTHS[:, None], rtol=0, atol=1e-6)
+            np.testing.assert_allclose(found.offset[row], expected.offset[beat], rtol=0, atol=1e-12)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aerotube.aircraft.compiled import Realise, Step
+from aerotube.aircraft.compiled import Realise, Step, VirtualStep
 from aerotube.errors import InputError
 
 Array = NDArray[np.float64]
@@ -166,6 +166,16 @@ class Aircraft(ABC):
         callable or None
             ``step(states (runs, n), controls (runs, m), parameters (runs, p), wind (runs, 6), dt, substeps)`` to
             states (runs, n); see `aerotube.aircraft.compiled.compiled_step`, which makes it.
+        """
+        return None
+
+    def compiled_virtual_step(self) -> VirtualStep | None:
+        """The same under increments of the virtual controls, of `rates_virtual`; None where an aircraft has none.
+
+        Returns
+        -------
+        callable or None
+            See `aerotube.aircraft.compiled.compiled_virtual_step`, which makes it.
         """
         return None
 

@@ -21,6 +21,7 @@ from aerotube.numerics import borrowed
 
 Array = NDArray[np.float64]
 Step = Callable[[Array, Array, Array, Array, float, int], Array]
+VirtualStep = Callable[[Array, Array, Array, Array, Array, float, int], Array]
 Realise = Callable[[Array, Array, Array], Array]
 
 _components: Any = to_fixed_tuple  # a row of known length as a tuple
@@ -45,6 +46,7 @@ def _kernel(rates: Any, state_count: int, control_count: int, parameter_count: i
         model: Any,
         states: Array,
         controls: Array,
+        increments: Array,
         parameters: Array,
         wind: Array,
         dt: float,
@@ -55,6 +57,8 @@ def _kernel(rates: Any, state_count: int, control_count: int, parameter_count: i
         now, ahead, total = np.empty(state_count), np.empty(state_count), np.empty(state_count)
         for run in range(states.shape[0]):
             control = _components(controls[run], control_count)
+            # one row stands for all
+            increment = _components(increments[min(run, increments.shape[0] - 1)], control_count)
             sigma = _components(parameters[run], parameter_count)
             air = _components(wind[run], 6)
             for i in range(state_count):
@@ -64,7 +68,7 @@ def _kernel(rates: Any, state_count: int, control_count: int, parameter_count: i
                     ahead[i] = now[i]
                     total[i] = 0.0
                 for stage in range(4):
-                    slope = rates(numbers, _components(ahead, state_count), control, sigma, air)
+                    slope = rates(numbers, _components(ahead, state_count), control, increment, sigma, air)
                     for i in range(state_count):
                         total[i] += _WEIGHTS[stage] * slope[i]
                         ahead[i] = now[i] + _AHEAD[stage] * step * slope[i]
@@ -86,8 +90,9 @@ def compiled_step(rates: Any, model: Any, state_count: int, control_count: int, 
     Parameters
     ----------
     rates : function
-        ``rates(model, state, control, parameters, wind)``, tuples of components in and out, that numba can compile
-        (decorated with ``numba.extending.register_jitable``).
+        ``rates(model, state, control, increment, parameters, wind)``, tuples of components in and out, that numba can
+        compile (decorated with ``numba.extending.register_jitable``). The increments are of the virtual controls, zero
+        in this step.
     model : NamedTuple
         The numbers of the aircraft: floats, arrays and named tuples of them.
     state_count, control_count, parameter_count : int
@@ -99,10 +104,32 @@ def compiled_step(rates: Any, model: Any, state_count: int, control_count: int, 
         states (runs, n) after `dt` seconds, by `substeps` steps of the classical Runge-Kutta method with controls
         and wind held, the quaternion renormalised at the end. Arrays are contiguous, of float64.
     """
+    advance = compiled_virtual_step(rates, model, state_count, control_count, parameter_count)
+    none = np.zeros((1, control_count))
+
+    def step(states: Array, controls: Array, parameters: Array, wind: Array, dt: float, substeps: int) -> Array:
+        return advance(states, controls, none, parameters, wind, dt, substeps)
+
+    return step
+
+
+def compiled_virtual_step(
+    rates: Any, model: Any, state_count: int, control_count: int, parameter_count: int
+) -> VirtualStep:
+    """A compiled step under increments of the virtual controls; see :func:`compiled_step`.
+
+    Returns
+    -------
+    callable
+        ``step(states (runs, n), controls (runs, m), increments (runs or 1, m), parameters (runs, p), wind (runs, 6),
+        dt, substeps)`` to the states (runs, n), the increments held.
+    """
     kernel = _kernel(rates, state_count, control_count, parameter_count, _sources())
     columns = (state_count, control_count, parameter_count, 6)
 
-    def step(states: Array, controls: Array, parameters: Array, wind: Array, dt: float, substeps: int) -> Array:
+    def step(
+        states: Array, controls: Array, increments: Array, parameters: Array, wind: Array, dt: float, substeps: int
+    ) -> Array:
         runs = len(states)
         shapes = (states.shape, controls.shape, parameters.shape, wind.shape)
         if shapes != tuple((runs, count) for count in columns) or substeps < 1:
@@ -110,8 +137,10 @@ def compiled_step(rates: Any, model: Any, state_count: int, control_count: int, 
                 f"a compiled step takes arrays of {runs} rows and {columns} columns and at least one substep; "
                 f"it was given shapes {shapes} and {substeps} substeps"
             )
+        if increments.shape not in ((runs, control_count), (1, control_count)):
+            raise ValueError(f"a compiled step of {runs} rows was given increments of shape {increments.shape}")
         result = np.empty_like(states)
-        kernel(model, states, controls, parameters, wind, float(dt), substeps, result)
+        kernel(model, states, controls, increments, parameters, wind, float(dt), substeps, result)
         return result
 
     return step

@@ -37,7 +37,14 @@ from aerotube.aircraft.base import (
     frozen,
     split,
 )
-from aerotube.aircraft.compiled import Realise, Step, compiled_realise, compiled_step
+from aerotube.aircraft.compiled import (
+    Realise,
+    Step,
+    VirtualStep,
+    compiled_realise,
+    compiled_step,
+    compiled_virtual_step,
+)
 from aerotube.aircraft.f16_aerodynamics import (
     CHORD,
     REFERENCE_CENTRE,
@@ -177,16 +184,46 @@ def lagging_rates(
 
 
 @register_jitable(forceinline=True)
-def quick_step_rates(
-    airframe: Airframe, state: Components, control: Components, parameters: Components, wind: Components
+def moved_rates(
+    airframe: Airframe,
+    state: Components,
+    control: Components,
+    increment: Components,
+    inverse_mass: Any,
+    wind: Components,
+    inverse_inertia: Any = None,
+    lift: Any = None,
+    effectiveness: Any = None,
 ) -> Components:
-    """`settled_rates` as a compiled step takes them."""
-    return settled_rates(airframe, state, control, 0.0, parameters[0], wind)
+    """`settled_rates` under increments of elevator, thrust, aileron and rudder."""
+    moved = (control[0] + increment[0], control[1], control[2] + increment[2], control[3] + increment[3])
+    return settled_rates(airframe, state, moved, increment[1], inverse_mass, wind, inverse_inertia, lift, effectiveness)
+
+
+# As compiled steps take them; with engine lag without increments, whose throttle would have to be found in every stage.
+
+
+@register_jitable(forceinline=True)
+def quick_step_rates(
+    airframe: Airframe,
+    state: Components,
+    control: Components,
+    increment: Components,
+    parameters: Components,
+    wind: Components,
+) -> Components:
+    """`moved_rates` as a compiled step takes them."""
+    return moved_rates(airframe, state, control, increment, parameters[0], wind)
 
 
 @register_jitable(forceinline=True)
 def lagging_step_rates(
-    airframe: Airframe, state: Components, control: Components, parameters: Components, wind: Components
+    airframe: Airframe,
+    state: Components,
+    control: Components,
+    _increment: Components,
+    parameters: Components,
+    wind: Components,
 ) -> Components:
     """`lagging_rates` as a compiled step takes them."""
     return lagging_rates(airframe, state, control, parameters[0], wind)
@@ -194,16 +231,26 @@ def lagging_step_rates(
 
 @register_jitable(forceinline=True)
 def quick_uncertain_rates(
-    airframe: Airframe, state: Components, control: Components, parameters: Components, wind: Components
+    airframe: Airframe,
+    state: Components,
+    control: Components,
+    increment: Components,
+    parameters: Components,
+    wind: Components,
 ) -> Components:
-    """`settled_rates` with every parameter."""
+    """`moved_rates` with every parameter."""
     mass, inertia, lift, effectiveness = parameters
-    return settled_rates(airframe, state, control, 0.0, mass, wind, inertia, lift, effectiveness)
+    return moved_rates(airframe, state, control, increment, mass, wind, inertia, lift, effectiveness)
 
 
 @register_jitable(forceinline=True)
 def lagging_uncertain_rates(
-    airframe: Airframe, state: Components, control: Components, parameters: Components, wind: Components
+    airframe: Airframe,
+    state: Components,
+    control: Components,
+    _increment: Components,
+    parameters: Components,
+    wind: Components,
 ) -> Components:
     """`lagging_rates` with every parameter."""
     mass, inertia, lift, effectiveness = parameters
@@ -348,11 +395,11 @@ class F16(Aircraft):
         x, a, d = tuple(state), tuple(control), tuple(increment)
         inverse_mass, *others = self._parameters(parameters)
         air = STILL_AIR if wind is None else tuple(wind)
-        moved = (a[0] + d[0], a[1], a[2] + d[2], a[3] + d[3])
         if not self.engine_lag:
-            return settled_rates(self.airframe, x, moved, d[1], inverse_mass, air, *others)
+            return moved_rates(self.airframe, x, a, d, inverse_mass, air, *others)
         throttle = settled_throttle(self._levels(x, air), a[1], d[1])
-        return lagging_rates(self.airframe, x, (moved[0], throttle, moved[2], moved[3]), inverse_mass, air, *others)
+        moved = (a[0] + d[0], throttle, a[2] + d[2], a[3] + d[3])
+        return lagging_rates(self.airframe, x, moved, inverse_mass, air, *others)
 
     def virtual_limits(self, state: ArrayLike, control: ArrayLike) -> tuple[Array, Array]:
         """Increments that the control limits leave; thrust from idle to maximum at each state's Mach and altitude."""
@@ -383,20 +430,36 @@ class F16(Aircraft):
         """A step compiled to machine code, of this class's own equations; see `Aircraft.compiled_step`."""
         if type(self).rates is not F16.rates:
             return None
-        states = len(self.state_names)
-        if len(self.parameter_names) == 1:
-            rates = lagging_step_rates if self.engine_lag else quick_step_rates
-            return compiled_step(rates, self.airframe, states, 4, 1)
-        rates = lagging_uncertain_rates if self.engine_lag else quick_uncertain_rates
-        every = compiled_step(rates, self.airframe, states, 4, len(UNCERTAIN))
-        columns = [list(UNCERTAIN).index(name) for name in self.uncertain]
+        plain = len(self.parameter_names) == 1
+        rates: Any
+        if self.engine_lag:
+            rates = lagging_step_rates if plain else lagging_uncertain_rates
+        else:
+            rates = quick_step_rates if plain else quick_uncertain_rates
+        every = compiled_step(rates, self.airframe, len(self.state_names), 4, 1 if plain else len(UNCERTAIN))
+        if plain:
+            return every
 
         def step(states: Array, controls: Array, parameters: Array, wind: Array, dt: float, substeps: int) -> Array:
-            if parameters.shape != (len(states), len(columns)):
-                raise ValueError(f"a step with {len(columns)} parameters was given {parameters.shape} of them")
-            filled = np.ones((len(states), len(UNCERTAIN)))
-            filled[:, columns] = parameters
-            return every(states, controls, filled, wind, dt, substeps)
+            return every(states, controls, self._every_parameter(len(states), parameters), wind, dt, substeps)
+
+        return step
+
+    def compiled_virtual_step(self) -> VirtualStep | None:
+        """The same under increments; None with engine lag. See `Aircraft.compiled_virtual_step`."""
+        own = type(self).rates is F16.rates and type(self).rates_virtual is F16.rates_virtual
+        if not own or self.engine_lag:
+            return None
+        states = len(self.state_names)
+        if len(self.parameter_names) == 1:
+            return compiled_virtual_step(quick_step_rates, self.airframe, states, 4, 1)
+        every = compiled_virtual_step(quick_uncertain_rates, self.airframe, states, 4, len(UNCERTAIN))
+
+        def step(
+            states: Array, controls: Array, increments: Array, parameters: Array, wind: Array, dt: float, substeps: int
+        ) -> Array:
+            filled = self._every_parameter(len(states), parameters)
+            return every(states, controls, increments, filled, wind, dt, substeps)
 
         return step
 
@@ -419,6 +482,14 @@ class F16(Aircraft):
             return (1.0, None, None, None)
         values = dict(zip(self.uncertain, given, strict=True))
         return tuple(values.get(name) for name in UNCERTAIN)
+
+    def _every_parameter(self, rows: int, given: Array) -> Array:
+        """Parameters (rows, 4) with one for what is not uncertain."""
+        if given.shape != (rows, len(self.uncertain)):
+            raise ValueError(f"a step with {len(self.uncertain)} parameters was given {given.shape} of them")
+        filled = np.ones((rows, len(UNCERTAIN)))
+        filled[:, [list(UNCERTAIN).index(name) for name in self.uncertain]] = given
+        return filled
 
     def _levels(self, state: Components, wind: Components) -> Components:
         mach = air_data(state, wind)[3]

@@ -29,7 +29,7 @@ from aerotube.compensation.groundwork import (
 from aerotube.compensation.sets import initial_ellipsoid
 from aerotube.compensation.settings import SynthesisSettings
 from aerotube.compensation.tubes import Tubes, certified_size, measure
-from aerotube.dynamics import ErrorCoordinates, Linearisation, step, taylor_map
+from aerotube.dynamics import ErrorCoordinates, Linearisation, slopes, step
 from aerotube.errors import InputError
 from aerotube.nominal import Nominal
 from aerotube.tube import DisturbanceSet, ellipsoid, riccati, tracking_weights
@@ -205,11 +205,11 @@ def _local_ground(
     own = np.arange(nominal.beats) // 2  # a beat that joins two conditions gets what the first of them has
 
     sets = np.concatenate([[aircraft.parameter_nominal], vertices])
-    expansion = taylor_map(
-        aircraft, nominal, np.tile(beats, len(sets)), coordinates, order=1, at=np.repeat(sets, count, axis=0).T
-    )
-    table = expansion.coefficients.reshape(len(sets), count, 8, -1)
-    A, B = table[0, ..., 1:9], table[0, ..., 9:13]
+    # the condition as it is, and at each extreme of the parameters
+    found = slopes(aircraft, nominal, np.tile(beats, len(sets)), coordinates, np.repeat(sets, count, axis=0))
+    A, B, offset = (each.reshape(len(sets), count, *each.shape[1:]) for each in (found.A, found.B, found.offset))
+    input_map = np.ascontiguousarray(np.swapaxes(B[1:], 0, 1)[own])
+    A, B, offset = A[0], B[0], offset[0]
     effort = effort_weights(aircraft, nominal, settings.control_weight)[beats]
     weights = tracking_weights(nominal.states[beats + 1], coordinates)
     seen = coordinates.box(starts, (1.0 + settings.measurement_error) * disturbance.half_widths)
@@ -227,8 +227,8 @@ def _local_ground(
     return Groundwork(
         coordinates=coordinates,
         vertices=vertices,
-        linear=Linearisation(A=A[own], B=B[own], offset=table[0, ..., 0][own]),
-        input_map=np.ascontiguousarray(np.swapaxes(table[1:, ..., 9:13], 0, 1)[own]),
+        linear=Linearisation(A=A[own], B=B[own], offset=offset[own]),
+        input_map=input_map,
         effort=effort[own],
         expected=Forecast(
             cost=np.zeros((nominal.beats + 1, 8, 8)),  # no beat follows that an error could cost

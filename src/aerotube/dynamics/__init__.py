@@ -1,7 +1,7 @@
 """From an aircraft to a step: the Runge-Kutta step map, error coordinates, the error map of a beat and its bounds."""
 
 from aerotube.dynamics.enclosure import BeatSet, ErrorEnclosure, beat_set, enclose_error_map, linear_law, polynomial_law
-from aerotube.dynamics.error_map import Linearisation, TaylorMap, error_map, linearise, taylor_map
+from aerotube.dynamics.error_map import Linearisation, TaylorMap, error_map, linearise, slopes, taylor_map
 from aerotube.dynamics.errors import (
     ERROR_NAMES,
     ERROR_UNITS,
@@ -38,6 +38,7 @@ __all__ = [
     "polynomial_law",
     "rk4",
     "size_samples",
+    "slopes",
     "step",
     "step_components",
     "taylor_map",

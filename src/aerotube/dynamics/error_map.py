@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube.aircraft.base import Aircraft
+from aerotube.dynamics.error_kernels import difference_each, moved_each
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.dynamics.step import step, step_components
 from aerotube.numerics.taylor import Taylor, TaylorSpace
@@ -64,7 +65,13 @@ def error_map(
     def per_beat(values: Array) -> Array:
         return values.reshape(len(beats), *(1,) * depth, values.shape[-1])
 
-    start = coordinates.retract(per_beat(nominal.states[beats]), error)
+    before, after, count = nominal.states[beats], nominal.states[beats + 1], len(beats)
+    relative = coordinates.kind == "relative"
+    if relative:
+        flat = np.ascontiguousarray(error).reshape(count, -1, 8)
+        start = moved_each(before, flat).reshape(*error.shape[:-1], before.shape[1])
+    else:
+        start = coordinates.retract(per_beat(before), error)
     end = step(
         aircraft,
         start,
@@ -73,7 +80,8 @@ def error_map(
         parameters=parameters,
         increment=increment,
     )
-    return coordinates.difference(end, per_beat(nominal.states[beats + 1]))
+    flat = np.ascontiguousarray(end).reshape(count, -1, end.shape[-1])
+    return np.asarray(difference_each(flat, after, relative).reshape(*end.shape[:-1], 8))
 
 
 @dataclass(frozen=True)
@@ -208,3 +216,48 @@ def linearise(
     first = polynomial.coefficients[:, :, [by_variable[tuple(row)] for row in unit]]
     constant = polynomial.coefficients[:, :, by_variable[(0,) * 12]]
     return Linearisation(A=first[:, :, :8].copy(), B=first[:, :, 8:].copy(), offset=constant.copy())
+
+
+# Steps of the errors (m/s, rad, rad/s) and, over half their range, of the increments: what curvature and what rounding
+# leave of a difference over them are both about a part in a hundred million.
+_STEPS = np.array([1e-2, *[3e-5] * 7])
+_SHARE = 1e-4
+
+
+def slopes(
+    aircraft: Aircraft,
+    nominal: Nominal,
+    beats: Sequence[int] | NDArray[np.intp],
+    coordinates: ErrorCoordinates,
+    parameters: Array,
+) -> Linearisation:
+    """Linearise the error map at some beats by central differences of its values.
+
+    The same as :func:`linearise` to about eight digits (and where a table has a kink, the mean of its two slopes), in a
+    hundredth of the time for an aircraft with a compiled step.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+    nominal : Nominal
+    beats : sequence of int, length b
+    coordinates : ErrorCoordinates
+    parameters : ndarray (b, p)
+        Values of the aircraft's parameters at each.
+
+    Returns
+    -------
+    Linearisation
+        Of those beats.
+    """
+    beats = np.asarray(beats)
+    lower, upper = aircraft.virtual_limits(nominal.states[beats], nominal.controls[beats])
+    reach = np.concatenate([np.broadcast_to(_STEPS, (len(beats), 8)), 0.5 * _SHARE * (upper - lower)], axis=1)
+    moves = np.zeros((len(beats), 25, 12))
+    twelve = np.arange(12)
+    moves[:, twelve, twelve], moves[:, 12 + twelve, twelve] = reach, -reach
+    end = error_map(
+        aircraft, nominal, beats, coordinates, moves[..., :8], moves[..., 8:], np.asarray(parameters)[:, None]
+    )
+    slope = np.swapaxes((end[:, :12] - end[:, 12:24]) / (2.0 * reach[:, :, None]), 1, 2)
+    return Linearisation(A=slope[:, :, :8].copy(), B=slope[:, :, 8:].copy(), offset=end[:, 24].copy())

@@ -107,21 +107,15 @@ def step(
     ndarray (..., 13 or more)
         Batch axes of all arguments broadcast.
     """
-    quick = aircraft.compiled_step() if increment is None else None
-    if quick is not None:
-        given = (
-            state,
-            control,
-            aircraft.parameter_nominal if parameters is None else parameters,
-            np.zeros(6) if wind is None else wind,
-        )
-        arrays = [np.asarray(values, dtype=float) for values in given]
-        batch = np.broadcast_shapes(*(array.shape[:-1] for array in arrays))
-        rows = []
-        for array in arrays:
-            full = array if array.shape[:-1] == batch else np.broadcast_to(array, (*batch, array.shape[-1]))
-            rows.append(np.ascontiguousarray(full).reshape(-1, array.shape[-1]))
+    parameters_given = aircraft.parameter_nominal if parameters is None else parameters
+    wind_given = np.zeros(6) if wind is None else wind
+    if increment is None and (quick := aircraft.compiled_step()) is not None:
+        rows, batch = _rows(state, control, parameters_given, wind_given)
         made = np.asarray(quick(rows[0], rows[1], rows[2], rows[3], dt, substeps))
+        return made.reshape(*batch, made.shape[-1])
+    if increment is not None and (moved := aircraft.compiled_virtual_step()) is not None:
+        rows, batch = _rows(state, control, increment, parameters_given, wind_given)
+        made = np.asarray(moved(rows[0], rows[1], rows[2], rows[3], rows[4], dt, substeps))
         return made.reshape(*batch, made.shape[-1])
 
     def optional(values: Array | None) -> Components | None:
@@ -139,3 +133,14 @@ def step(
             substeps,
         )
     )
+
+
+def _rows(*given: Array) -> tuple[list[Array], tuple[int, ...]]:
+    """Arrays broadcast but for their last axes, as contiguous rows; and the batch axes."""
+    arrays = [np.asarray(values, dtype=float) for values in given]
+    batch = np.broadcast_shapes(*(array.shape[:-1] for array in arrays))
+    rows = []
+    for array in arrays:
+        full = array if array.shape[:-1] == batch else np.broadcast_to(array, (*batch, array.shape[-1]))
+        rows.append(np.ascontiguousarray(full).reshape(-1, array.shape[-1]))
+    return rows, batch
