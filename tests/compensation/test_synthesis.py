@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 
 from aerotube import sos
-from aerotube.compensation import DECOUPLED, SynthesisSettings, boundary, exact_map, synthesise
+from aerotube.compensation import (
+    DECOUPLED,
+    SynthesisSettings,
+    boundary,
+    design,
+    exact_map,
+    law_program,
+    limits,
+    synthesise,
+)
 from aerotube.compensation.groundwork import effort_weights, expectations
 from aerotube.dynamics import error_map
 from aerotube.errors import InputError
@@ -70,16 +79,16 @@ def test_for_small_errors_the_law_is_the_regulator_of_the_linearised_map(noise_w
             assert -1e-12 * cost(best) <= cost(law) - cost(best) <= 1e-3 * worth
 
 
-@pytest.mark.parametrize("limits", ["box", "ellipsoid"])
+@pytest.mark.parametrize("kind", ["box", "ellipsoid"])
 @pytest.mark.parametrize("measurement_error", [0.0, 1.0])
-def test_limits_hold_where_the_law_sees_them(limits, measurement_error):
+def test_limits_hold_where_the_law_sees_them(kind, measurement_error):
     plane, nominal = aircraft(), table2(BEATS)
-    settings = SynthesisSettings(limits=limits, measurement_error=measurement_error)
+    settings = SynthesisSettings(limits=kind, measurement_error=measurement_error)
     result = synthesise(plane, nominal, BOX, settings)
     chart = result.law.coordinates
     seen = chart.box(nominal.states[:-1], (1 + measurement_error) * HALF_WIDTHS)
     corners = np.array(list(itertools.product((-1, 1), repeat=8))) * seen[:, None]
-    scale = 2.0 if limits == "ellipsoid" else 1.0
+    scale = 2.0 if kind == "ellipsoid" else 1.0
     states = chart.retract(nominal.states[:-1, None], scale * corners)
     lower, upper = plane.virtual_limits(states, np.broadcast_to(nominal.controls[:, None], (*states.shape[:2], 4)))
     allowed = np.minimum(-lower, upper).min(1)
@@ -90,12 +99,29 @@ def test_limits_hold_where_the_law_sees_them(limits, measurement_error):
     lower, upper = plane.virtual_limits(states, np.broadcast_to(nominal.controls[:, None], push.shape))
     assert (push >= lower - 1e-9 * np.abs(lower)).all()
     assert (push <= upper + 1e-9 * np.abs(upper)).all()
-    if limits == "box":
+    if kind == "box":
         assert (most[:, 1] > 0.99 * allowed[:, 1]).all()
     else:
         over_the_ellipsoid = np.sqrt(4 * np.einsum("tij,tj->ti", result.law.gains**2, seen**2))
         assert (over_the_ellipsoid <= allowed * (1 + 1e-12)).all()
         assert (over_the_ellipsoid[:, 1] > 0.99 * allowed[:, 1]).all()
+
+
+def test_limits_in_many_errors_are_those_at_every_corner(monkeypatch):
+    """Second route: a row for each of the 256 corners of the box, for each control."""
+    settings = SynthesisSettings(algorithm="coupled", noise_weight=1.0, measurement_error=1.0)
+
+    def made():
+        law_program.structure.cache_clear()
+        return design(aircraft(), table2(BEATS), BOX, settings)
+
+    found = made()
+    monkeypatch.setattr(limits, "_FEW", 8)
+    expected = made()
+    law_program.structure.cache_clear()
+    np.testing.assert_allclose(found.bound, expected.bound, rtol=1e-6)
+    scale = HALF_WIDTHS * np.array([1.0, 1e-5, 1.0, 1.0])[:, None]
+    np.testing.assert_allclose(found.law.gains * scale, expected.law.gains * scale, rtol=0, atol=1e-4)
 
 
 def ends(made, index, error, sigma):

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_FEW = 5  # states up to which a box's corners are counted one by one
+_EVEN = 0.75  # of a limit, shared out evenly to start from
+
 
 def declare(program: sos.Program, shape: Shape) -> None:
     """Add the constraints to a program with a variable ``K``."""
@@ -29,7 +32,10 @@ def declare(program: sos.Program, shape: Shape) -> None:
         if shape.limits == "none":
             return
         if shape.law_degree == 1:
-            if shape.limits == "box":
+            if _by_reach(shape):
+                program.matrix(f"reach/{i}", (1, shape.states))
+                program.linear(f"limit/{i}", rows=2 * shape.states + 1)
+            elif shape.limits == "box":
                 program.linear(f"limit/{i}", rows=2 * shape.corners or 2**shape.states)
             else:
                 program.norm(f"limit/{i}", size=shape.states)
@@ -47,7 +53,40 @@ def data(structure: sos.Structure, shape: Shape, group: GroupData, scaling: Scal
     if shape.law_degree > 1:
         return _polynomial(structure, shape, group, scaling)
     relative = scaling.gain / np.minimum(-group.lower, group.upper)[:, :, None]
+    if _by_reach(shape):
+        return _reach(structure, group, relative)
     return _corners(structure, group, relative) if shape.limits == "box" else _norms(structure, group, relative)
+
+
+def _by_reach(shape: Shape) -> bool:
+    """Whether a linear law's limits on a box are written by what each error moves a control at most.
+
+    A program has one row for each corner otherwise, which is less for few states, and far too many for eight.
+    """
+    return shape.limits == "box" and shape.law_degree == 1 and not shape.corners and shape.states > _FEW
+
+
+def _reach(structure: sos.Structure, group: GroupData, relative: Array) -> dict[str, tuple[Array, ...]]:
+    """Error j moves control i by some share of the limit at most, either way, and the shares add up to one at most.
+
+    A share is ``reach_j`` more than an even one of less than the whole, so that where all are zero nothing is tight.
+    """
+    batch, m, _ = relative.shape
+    n, K = group.seen.shape[-1], structure.variable("K")
+    points = group.unwhitening * group.seen[:, None, :]  # (b, law's coordinates, errors)
+    out: dict[str, tuple[Array, ...]] = {}
+    for i in range(m):
+        reach = structure.variable(f"reach/{i}")
+        rows = np.zeros((batch, 2 * n + 1, structure.size))
+        moved = np.einsum("ba,bkj->bjak", relative[:, i], points).reshape(batch, n, m * n)
+        rows[:, :n, K.slice], rows[:, n : 2 * n, K.slice] = moved, -moved
+        for j in range(n):
+            rows[:, [j, n + j], reach.start + j] = -1.0
+        rows[:, 2 * n, reach.slice] = 1.0
+        room = np.full(2 * n + 1, _EVEN / n)
+        room[2 * n] = 1.0 - _EVEN
+        out[f"limit/{i}"] = (rows, room)
+    return out
 
 
 def _corners(structure: sos.Structure, group: GroupData, relative: Array) -> dict[str, tuple[Array, ...]]:

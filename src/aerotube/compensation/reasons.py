@@ -25,7 +25,7 @@ def why(solution: sos.Solution, position: int, controls: Sequence[str]) -> str:
     str
         Without a full stop. Amounts of limits are shares of the control's room (of half its range for a law of
         higher degree), those of tubes shares of the tube without compensation; directions of tubes are whitened
-        errors, those of limits on a box its corners by number.
+        errors, those of limits on a set with corners these by number (not of a box in many errors, which has too many).
     """
     status = sos.Status(int(solution.status[position]))
     if status != sos.Status.INFEASIBLE:
@@ -39,7 +39,7 @@ def why(solution: sos.Solution, position: int, controls: Sequence[str]) -> str:
         if conflict.kind == "sos":
             at = np.array2string(conflict.direction, precision=2, suppress_small=True, max_line_width=200)
             what += f" at {at}"
-        elif conflict.kind == "linear":
+        elif conflict.kind == "linear" and not any(v.name.startswith("reach/") for v in solution.structure.variables):
             what += f" at corner {int(np.argmax(conflict.direction))}"
         parts.append(f"{what}, {conflict.share:.0%} of the conflict")
     text = f"infeasible: {'; '.join(parts)}"
