@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from aerotube import job, results, scenario
+from aerotube import compensation, flight, results, scenario
 from aerotube.cli import app
 from aerotube.errors import ComputationError
 from aerotube.results import CALM
@@ -178,7 +178,7 @@ def quick(monkeypatch):
         def synthesise(*_, **__):
             raise error
 
-        monkeypatch.setattr(job.compensation, "synthesise", synthesise)
+        monkeypatch.setattr(compensation, "synthesise", synthesise)
 
     return fail
 
@@ -219,7 +219,7 @@ def test_a_diverged_run_is_named_counted_and_kept(capsys, tmp_path, quick):
 def test_an_interruption_keeps_what_was_finished(capsys, tmp_path, quick, monkeypatch):
     quick(ComputationError("no laws here"))
     flown = []
-    real = job.flight.simulate
+    real = flight.simulate
 
     def simulate(*arguments, **options):
         if flown:
@@ -227,8 +227,8 @@ def test_an_interruption_keeps_what_was_finished(capsys, tmp_path, quick, monkey
         flown.append(True)
         return real(*arguments, **options)
 
-    monkeypatch.setattr(job.flight, "simulate", simulate)
-    monkeypatch.setattr(job.flight, "best_lqr", simulate)
+    monkeypatch.setattr(flight, "simulate", simulate)
+    monkeypatch.setattr(flight, "best_lqr", simulate)
     code, _, errors = aerotube(capsys, "run", *SMALL, "--out", tmp_path)
     assert code == 130
     assert "interrupted" in errors

@@ -3,6 +3,7 @@ import pytest
 
 from aerotube import job, nominal, preparation, scenario
 from aerotube.errors import InputError
+from aerotube.job.laws import ranges
 from aerotube.results import CALM, ESTIMATOR, NOISE
 
 TEXT = scenario.built_in_text()
@@ -96,8 +97,8 @@ def test_gusts_are_met_where_the_aircraft_is():
 
 
 def test_beats_are_told_as_ranges():
-    assert job._ranges(np.array([0, 1, 2, 5, 7, 8])) == "0 to 2, 5, 7 to 8"
-    assert job._ranges(np.array([4])) == "4"
+    assert ranges(np.array([0, 1, 2, 5, 7, 8])) == "0 to 2, 5, 7 to 8"
+    assert ranges(np.array([4])) == "4"
 
 
 def computed(workers: int = 1, **draws: int):

@@ -20,6 +20,7 @@ from aerotube.errors import InputError
 from aerotube.preparation import prepare
 from aerotube.runtime import flight as flights
 from aerotube.runtime import log
+from aerotube.runtime.actuators import Actuators
 from aerotube.runtime.commander import Source
 from aerotube.runtime.faults import Faults
 from aerotube.runtime.flight import fly
@@ -28,7 +29,7 @@ from aerotube.runtime.messages import Rung
 from aerotube.runtime.options import Options, make_estimator
 from aerotube.runtime.outcome import deadlines, errors_flown, summarise
 from aerotube.runtime.page import save
-from aerotube.runtime.plant import Actuators, Plant
+from aerotube.runtime.plant import Plant
 from aerotube.runtime.promises import promises
 from aerotube.runtime.replay import replay
 from aerotube.scenario import load

@@ -8,8 +8,8 @@ import pytest
 from aerotube.compensation import KINDS, SynthesisSettings, design, flown_size, measure
 from aerotube.dynamics import ErrorCoordinates
 from aerotube.nominal import constant_controls
+from aerotube.runtime import assembly
 from aerotube.runtime import task as tasks
-from aerotube.runtime import windows
 from aerotube.runtime.law import Form
 from aerotube.runtime.messages import Rung
 from aerotube.runtime.sizes import Sized
@@ -119,7 +119,7 @@ def test_what_is_not_certified_is_not_flown(monkeypatch):
         shape = len(beats), len(task.settings.parts)
         return Sized(np.full(shape, np.nan), np.full(shape, -1))
 
-    monkeypatch.setattr(windows, "sizes", sizes)
+    monkeypatch.setattr(assembly, "sizes", sizes)
     window = compute(TASK, NOMINAL, range(4, 8))
     assert (window.rungs >= Rung.LQR).all()
     assert (window.kinds == -1).all()

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from aerotube.errors import InputError
-from aerotube.flight import Draws, draw, simulate
-from aerotube.flight.inversion import DynamicInversion, best_inversion
+from aerotube.flight import Draws, DynamicInversion, best_inversion, draw, simulate
 from tests.samples import BOX, HALF_WIDTHS, aircraft, table2
 
 RNG = np.random.default_rng(3)
@@ -66,3 +65,5 @@ def test_mistakes_are_named():
         DynamicInversion(aircraft(), table2(), held="heading")
     with pytest.raises(InputError, match="sweep is empty"):
         best_inversion(aircraft(), table2(), draw(HALF_WIDTHS, [1], 1), rate_gains=())
+    with pytest.raises(InputError, match="at least one seed"):
+        best_inversion(aircraft(), table2(), draw(HALF_WIDTHS, [1], 1), seeds=0)

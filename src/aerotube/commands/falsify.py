@@ -14,6 +14,8 @@ from aerotube.commands.common import FAILED, FINE, INTERRUPTED, interruptible, p
 from aerotube.errors import InputError
 
 if TYPE_CHECKING:
+    from aerotube.compensation import SynthesisSettings
+    from aerotube.preparation import Prepared
     from aerotube.results.falsified import Attack
     from aerotube.scenario import Source
 
@@ -41,15 +43,11 @@ def falsify(
     polynomials only, with the errors of their own half. Writes falsification.json, falsification.nc and a figure.
     Exit code 1: a tube that promises more than its polynomials is broken. A million points a tube take a few minutes.
     """
-    from aerotube import compensation, verify
-    from aerotube.preparation import SETTINGS, prepare
+    from aerotube.preparation import prepare
     from aerotube.results import ensure_folder
-    from aerotube.results.falsified import Attack
     from aerotube.scenario import load
 
-    attacks: dict[str, Attack] = {}
     threads = workers or os.cpu_count() or 1
-    interrupted = False
     with interruptible(), progress() as tell:
         source = load(scenario, {})
         prepared = prepare(source)
@@ -59,31 +57,8 @@ def falsify(
             asked: Any = certificate  # the settings say so if there is no such kind
             settings = {key: replace(value, certificate=asked) for key, value in settings.items()}
         folder = ensure_folder(out)
-        for done, key in enumerate(SETTINGS):
-            words = f"{key.replace('_', '-')} setting"
-            try:
-                tell(f"laws and tubes, {words}", done / len(SETTINGS))
-                made = compensation.synthesise(
-                    prepared.model, prepared.nominal, prepared.disturbance, settings[key], workers=threads
-                )
-                found = verify.falsify(
-                    prepared.model,
-                    prepared.nominal,
-                    prepared.disturbance,
-                    made,
-                    beats=chosen,
-                    samples=samples,
-                    seed=seed,
-                    workers=threads,
-                    progress=_share(tell, f"attack, {words}", done / len(SETTINGS), 1.0 / len(SETTINGS), len(chosen)),
-                )
-            except KeyboardInterrupt:
-                interrupted = True
-                break
-            attacks[key] = Attack(found, verify.kinds(made.tubes), tuple(prepared.model.parameter_names))
-            if found.interrupted:
-                interrupted = True
-                break
+        options = {"beats": chosen, "samples": samples, "seed": seed, "workers": threads}
+        attacks, interrupted = _attacked(prepared, settings, options, tell)
         tell("done", 1.0)
     if attacks:
         _save(attacks, source, folder)
@@ -126,6 +101,32 @@ def parse_beats(text: str, count: int) -> list[int]:
             raise InputError(f'beats: "{piece}" is not among the beats of the scenario, 0 to {count - 1}')
         found.update(range(low, high + 1))
     return sorted(found)
+
+
+def _attacked(
+    prepared: Prepared, settings: Mapping[str, SynthesisSettings], options: dict[str, Any], tell: Any
+) -> tuple[dict[str, Attack], bool]:
+    """Attack the tubes of both settings: what was finished, and whether an interruption cut it short."""
+    from aerotube import compensation, verify
+    from aerotube.preparation import SETTINGS
+    from aerotube.results.falsified import Attack
+
+    attacks: dict[str, Attack] = {}
+    problem = prepared.model, prepared.nominal, prepared.disturbance
+    width = 1.0 / len(SETTINGS)
+    for done, key in enumerate(SETTINGS):
+        words = f"{key.replace('_', '-')} setting"
+        told = _share(tell, f"attack, {words}", done * width, width, len(options["beats"]))
+        try:
+            tell(f"laws and tubes, {words}", done * width)
+            made = compensation.synthesise(*problem, settings[key], workers=options["workers"])
+            found = verify.falsify(*problem, made, **options, progress=told)
+        except KeyboardInterrupt:
+            return attacks, True
+        attacks[key] = Attack(found, verify.kinds(made.tubes), tuple(prepared.model.parameter_names))
+        if found.interrupted:
+            return attacks, True
+    return attacks, False
 
 
 def _share(tell: Any, words: str, start: float, width: float, total: int) -> Any:

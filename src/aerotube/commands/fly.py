@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from aerotube.commands.common import FAILED, FINE, INTERRUPTED, interruptible
 from aerotube.errors import InputError
+
+if TYPE_CHECKING:
+    from aerotube.runtime.options import Options
 
 
 def fly(
@@ -75,13 +78,8 @@ def fly(
     if replay is not None:
         _replay(replay)
         return
-    from aerotube.runtime.flight import fly as take_off
     from aerotube.runtime.options import Options
-    from aerotube.runtime.page import save
 
-    kind: Any = deviation
-    if deviation not in ("paper", "box"):
-        raise InputError(f"--deviation: there is no {deviation!r}; choose paper or box")
     options = Options(
         speed=speed,
         duration=duration,
@@ -89,7 +87,7 @@ def fly(
         reuse=reuse,
         estimator=estimator,
         noise=noise,
-        deviation=kind,
+        deviation=_deviation(deviation),
         gusts=gusts,
         delay=delay,
         actuators=actuators,
@@ -101,9 +99,27 @@ def fly(
         link="udp" if udp else "local",
         port=port,
     )
+    overrides = {"synthesis.algorithm": algorithm, "nominal.beat": None if beat is None else f"{beat!r} s"}
+    _fly(scenario, {key: value for key, value in overrides.items() if value is not None}, options, out, headless)
+
+
+def _deviation(kind: str) -> Any:
+    if kind not in ("paper", "box"):
+        raise InputError(f"--deviation: there is no {kind!r}; choose paper or box")
+    return kind
+
+
+def _fly(scenario: Path | None, overrides: dict[str, str], options: Options, out: Path, headless: bool) -> None:
+    """Fly, write what came of it, and leave with the exit code that it deserves."""
+    from aerotube.preparation import prepare
+    from aerotube.results import ensure_folder
+    from aerotube.runtime.flight import fly as take_off
+    from aerotube.runtime.page import save
+    from aerotube.scenario import load
+
     with interruptible():
-        prepared = _prepared(scenario, algorithm, beat)
-        _ready(out)
+        prepared = prepare(load(scenario, overrides))
+        ensure_folder(out)
         flown = take_off(prepared, options, *_shown(headless))
         summary = save(flown, out)
     _print(summary, out)
@@ -111,20 +127,6 @@ def fly(
         raise typer.Exit(FAILED)
     short = flown.truth is not None and flown.truth.flown_manoeuvres < flown.world.manoeuvres
     raise typer.Exit(INTERRUPTED if short else FAILED if summary["missed_unexplained"] else FINE)
-
-
-def _prepared(scenario: Path | None, algorithm: str | None, beat: float | None) -> Any:
-    from aerotube.preparation import prepare
-    from aerotube.scenario import load
-
-    asked = {"synthesis.algorithm": algorithm, "nominal.beat": None if beat is None else f"{beat!r} s"}
-    return prepare(load(scenario, {key: value for key, value in asked.items() if value is not None}))
-
-
-def _ready(out: Path) -> None:
-    from aerotube.results import ensure_folder
-
-    ensure_folder(out)
 
 
 def _shown(headless: bool) -> tuple[Any, Any]:

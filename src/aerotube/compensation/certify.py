@@ -18,7 +18,7 @@ from aerotube.compensation.bounds import Beyond, Bound, whole_set
 from aerotube.compensation.closed_loop import BatchLaw
 from aerotube.compensation.polynomial import Size
 from aerotube.compensation.rigorous import Pieces
-from aerotube.compensation.settings import Part
+from aerotube.compensation.settings import Part, SynthesisSettings
 from aerotube.compensation.worst_points import Sampling, Search
 from aerotube.dynamics import (
     BeatSet,
@@ -75,6 +75,34 @@ class Work:
     beyond: Beyond
     sampling: Sampling
     workers: int
+
+    @classmethod
+    def of(
+        cls,
+        aircraft: Aircraft,
+        nominal: Nominal,
+        disturbance: DisturbanceSet,
+        coordinates: ErrorCoordinates,
+        beats: Beats,
+        parts: tuple[Part, ...],
+        metric: tuple[Array, ...],
+        settings: SynthesisSettings,
+        workers: int,
+    ) -> Work:
+        """What the settings ask for."""
+        return cls(
+            aircraft=aircraft,
+            nominal=nominal,
+            disturbance=disturbance,
+            coordinates=coordinates,
+            beats=beats,
+            parts=parts,
+            metric=metric,
+            degree=max(settings.degree, 2 * settings.law_degree),
+            beyond=Beyond(settings.measurement_error, settings.gust, settings.gust_rotation),
+            sampling=Sampling(settings.samples, settings.confidence, settings.sample_seed),
+            workers=workers,
+        )
 
     def set_of(self, beats: Beats, beyond: Beyond) -> BeatSet:
         """Everything that the tubes of some beats must withstand."""

@@ -129,37 +129,12 @@ def design(
     chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
     ground = groundwork(aircraft, nominal, disturbance, settings) if ground is None else ground
     task = Task(aircraft, nominal, disturbance, settings, ground, workers, deadline)
-    groups = _groups(chosen, nominal.beats, settings.reuse + 1)
-    total = len(settings.parts) * sum(len(rows) for rows in groups)
-    done = 0
-
-    def tell(solved: int) -> None:
-        nonlocal done
-        done += solved
-        if progress is not None:
-            progress(done, total)
-
-    found: list[list[PartLaws]] = [[] for _ in settings.parts]
-    solve = design_groups if settings.formulation == "exact-map" else design_increments
-    for rows in groups:
-        for one, made in zip(found, solve(task, rows, tell), strict=True):
-            one.append(made)
+    found = _solved(task, chosen, progress)
     parts = [_joined(one, chosen) for one in found]
-    law = assembled(
-        [(part.errors, part.controls, laws.coefficients) for part, laws in zip(settings.parts, parts, strict=True)],
-        settings.law_degree,
-        nominal.beats,
-        chosen,
-        ground.coordinates,
-        _room(task) if settings.saturation > 1.0 else None,
-        _reach(task) if settings.law_degree > 1 else None,
-    )
+    law = _law(task, parts, chosen)
+    terminal = _terminal(task, law, parts, chosen)
     seconds = [np.stack([laws.seconds for laws in parts], axis=1)]
-    terminal = [laws.terminal for laws in parts if laws.terminal is not None]
-    if settings.steps == "three-step" and settings.formulation == "exact-map":
-        terminal = _terminal(task, law, chosen)
-        seconds.append(np.stack([one.seconds for one in terminal], axis=1))
-    elif settings.steps == "three-step":
+    if settings.steps == "three-step":
         seconds.append(np.stack([one.seconds for one in terminal], axis=1))
 
     def gather(name: str) -> Array:
@@ -178,6 +153,27 @@ def design(
         settings=settings,
         linearisation=ground.linear,
     )
+
+
+def _solved(task: Task, chosen: Beats, progress: Progress | None) -> list[list[PartLaws]]:
+    """Solve all programs: for each part, the laws of each group of beats."""
+    settings = task.settings
+    groups = _groups(chosen, task.nominal.beats, settings.reuse + 1)
+    total = len(settings.parts) * sum(len(rows) for rows in groups)
+    done = 0
+
+    def tell(solved: int) -> None:
+        nonlocal done
+        done += solved
+        if progress is not None:
+            progress(done, total)
+
+    found: list[list[PartLaws]] = [[] for _ in settings.parts]
+    solve = design_groups if settings.formulation == "exact-map" else design_increments
+    for rows in groups:
+        for one, made in zip(found, solve(task, rows, tell), strict=True):
+            one.append(made)
+    return found
 
 
 def _groups(chosen: Beats, beats: int, length: int) -> list[Beats]:
@@ -209,8 +205,24 @@ def _joined(laws: list[PartLaws], chosen: Beats) -> PartLaws:
     )
 
 
-def _terminal(task: Task, law: LinearLaw | PolynomialLaw, chosen: Beats) -> list[Terminal]:
-    """The third step: the smallest terminal ellipsoid of each part, the law held."""
+def _law(task: Task, parts: list[PartLaws], chosen: Beats) -> LinearLaw | PolynomialLaw:
+    """The law of the whole nominal, of those of its parts."""
+    settings = task.settings
+    return assembled(
+        [(part.errors, part.controls, laws.coefficients) for part, laws in zip(settings.parts, parts, strict=True)],
+        settings.law_degree,
+        task.nominal.beats,
+        chosen,
+        task.ground.coordinates,
+        _room(task) if settings.saturation > 1.0 else None,
+        _reach(task) if settings.law_degree > 1 else None,
+    )
+
+
+def _terminal(task: Task, law: LinearLaw | PolynomialLaw, parts: list[PartLaws], chosen: Beats) -> list[Terminal]:
+    """Terminal ellipsoids of each part: of the third step, the smallest with the law held, or of the law's programs."""
+    if task.settings.steps != "three-step" or task.settings.formulation != "exact-map":
+        return [laws.terminal for laws in parts if laws.terminal is not None]
     out = []
     for part, ground in zip(task.settings.parts, task.ground.parts, strict=True):
         degree, vertices = task.settings.degree, task.ground.vertices

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from aerotube import sos
 from aerotube.aircraft.base import Aircraft
 from aerotube.compensation import boundary, exact_map
-from aerotube.compensation.bounds import NONE, SHARES, Beyond, Bound
-from aerotube.compensation.certify import Work, rigorous_bounds, sampled_bounds, sampled_sizes
+from aerotube.compensation.bounds import NONE, SHARES, Bound
+from aerotube.compensation.certify import Work, rigorous_bounds, sampled_bounds
 from aerotube.compensation.closed_loop import BatchLaw, end_errors
-from aerotube.compensation.polynomial import deficit, enough, least_volume, size
+from aerotube.compensation.polynomial import enough, least_volume, size
 from aerotube.compensation.sets import InitialEllipsoid, initial_ellipsoid
 from aerotube.compensation.settings import Part, SynthesisSettings
+from aerotube.compensation.sizes import certified_size as certified_size
 from aerotube.compensation.worst_points import Sampling
-from aerotube.dynamics import ErrorCoordinates
 from aerotube.nominal import Nominal
 from aerotube.tube import DisturbanceSet
 
@@ -139,7 +139,7 @@ def measure(
     chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
     wanted = settings.parts if parts is None else tuple(parts)
     forms = tuple(metric) if wanted == settings.parts else regrouped(metric, settings.parts, wanted)
-    work = _work(aircraft, nominal, disturbance, law.coordinates, chosen, wanted, forms, settings, workers)
+    work = Work.of(aircraft, nominal, disturbance, law.coordinates, chosen, wanted, forms, settings, workers)
     initial = [initial_ellipsoid(disturbance, law.coordinates, nominal.states[chosen], part) for part in wanted]
     made = {}
     for name, flown in (("", law), ("nominal", None)):
@@ -179,129 +179,12 @@ def measure(
     return tubes, tuple(one.polynomial.certificate for one in with_law)
 
 
-def _work(
-    aircraft: Aircraft,
-    nominal: Nominal,
-    disturbance: DisturbanceSet,
-    coordinates: ErrorCoordinates,
-    beats: NDArray[np.intp],
-    parts: tuple[Part, ...],
-    metric: tuple[Array, ...],
-    settings: SynthesisSettings,
-    workers: int,
-) -> Work:
-    return Work(
-        aircraft=aircraft,
-        nominal=nominal,
-        disturbance=disturbance,
-        coordinates=coordinates,
-        beats=beats,
-        parts=parts,
-        metric=metric,
-        degree=max(settings.degree, 2 * settings.law_degree),
-        beyond=Beyond(settings.measurement_error, settings.gust, settings.gust_rotation),
-        sampling=Sampling(settings.samples, settings.confidence, settings.sample_seed),
-        workers=workers,
-    )
-
-
 def regrouped(metric: Sequence[Array], given: Sequence[Part], wanted: Sequence[Part]) -> tuple[Array, ...]:
     """Metrics (b, n, n) of other parts: blocks of those of the given parts, zero between them."""
     whole = np.zeros((len(metric[0]), 8, 8))
     for part, form in zip(given, metric, strict=True):
         whole[:, np.array(part.errors)[:, None], part.errors] = form
     return tuple(whole[:, np.array(part.errors)[:, None], part.errors] for part in wanted)
-
-
-def certified_size(
-    aircraft: Aircraft,
-    nominal: Nominal,
-    disturbance: DisturbanceSet,
-    law: BatchLaw | None,
-    metric: Sequence[Array],
-    settings: SynthesisSettings,
-    *,
-    beats: range | NDArray[np.intp] | None = None,
-    workers: int = 1,
-) -> Array:
-    """Sizes of the tubes with a law, and nothing else of what :func:`measure` gives: for the gauge.
-
-    Parameters
-    ----------
-    law : BatchLaw or None
-        None: the nominal controls alone.
-
-    Returns
-    -------
-    ndarray (b, parts)
-        For the polynomial only; NaN where no size could be certified. The other arguments are those of
-        :func:`measure`.
-    """
-    chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
-    coordinates = ErrorCoordinates(settings.attitude) if law is None else law.coordinates
-    vertices = disturbance.parameter_vertices(aircraft)
-    sizes = []
-    for part, shape in zip(settings.parts, metric, strict=True):
-        initial = initial_ellipsoid(disturbance, coordinates, nominal.states[chosen], part)
-        nodes = exact_map.size_structure(len(part.errors), len(vertices), settings.degree).nodes("tube/0")
-        points = np.einsum("bij,uj->bui", initial.whitening, nodes)
-        end = end_errors(aircraft, nominal, chosen, coordinates, part, points, vertices, law)
-        structure = exact_map.size_structure(end.shape[3], end.shape[1], settings.degree)
-        problem, unit = exact_map.size_data(structure, end, shape)
-        # less is asked of the solver: what it leaves, the certificate adds, and the size stays a bound
-        found = sos.solve(structure, problem, backend=settings.backend, workers=workers, tolerance=1e-4)
-        sizes.append((found["rho"] + 1.01 * np.maximum(deficit(found), 0.0) + 1e-14) * unit)
-    return np.stack(sizes, axis=1)
-
-
-def flown_size(
-    aircraft: Aircraft,
-    nominal: Nominal,
-    disturbance: DisturbanceSet,
-    law: BatchLaw | None,
-    metric: Sequence[Array],
-    settings: SynthesisSettings,
-    *,
-    beats: range | NDArray[np.intp] | None = None,
-    workers: int = 1,
-) -> tuple[Array, NDArray[np.str_]]:
-    """Sizes of the tubes with a law, and what stands behind them: as much of :func:`measure` as a flight has time for.
-
-    Parameters
-    ----------
-    law : BatchLaw or None
-        None: the nominal controls alone.
-    settings : SynthesisSettings
-        Where they ask for tubes of the polynomials only, these are given. Otherwise the sizes are sampled (rigorous
-        ones take too long), on as many samples and by the same search and margin as in :func:`measure`, but the
-        polynomials' programs are not solved; only where a sample's flight was not finite, a polynomial's size stands
-        in.
-
-    Returns
-    -------
-    size : ndarray (b, parts)
-        NaN where there is none. The other arguments are those of :func:`measure`.
-    certificate : ndarray (b, parts) of str
-        "sampled", "polynomial only" or "none".
-    """
-    chosen = np.arange(nominal.beats) if beats is None else np.asarray(beats)
-    coordinates = ErrorCoordinates(settings.attitude) if law is None else law.coordinates
-    size = np.full((len(chosen), len(settings.parts)), np.inf)
-    if settings.certificate != "polynomial only":
-        forms = tuple(metric)
-        work = _work(aircraft, nominal, disturbance, coordinates, chosen, settings.parts, forms, settings, workers)
-        size = sampled_sizes(work, law)
-    kind = np.where(np.isfinite(size), "sampled", NONE).astype("<U15")
-    rows = np.flatnonzero(~np.isfinite(size).all(1))
-    if len(rows):
-        forms = tuple(form[rows] for form in metric)
-        instead = certified_size(
-            aircraft, nominal, disturbance, law, forms, settings, beats=chosen[rows], workers=workers
-        )
-        missing = ~np.isfinite(size[rows])
-        size[rows] = np.where(missing, instead, size[rows])
-        kind[rows] = np.where(missing, np.where(np.isfinite(instead), "polynomial only", NONE), kind[rows])
-    return size, kind
 
 
 class _Measured:

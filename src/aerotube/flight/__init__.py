@@ -4,9 +4,9 @@ from aerotube.flight.containment import FORMS, REASONS, Containment, containment
 from aerotube.flight.draws import Draws, draw
 from aerotube.flight.estimator import Estimate, ExtendedKalmanFilter, extended_kalman_filter
 from aerotube.flight.gusts import Dryden, GustModel
-from aerotube.flight.inversion import DynamicInversion, InversionSweep, best_inversion
+from aerotube.flight.inversion import DynamicInversion
 from aerotube.flight.library import LawLibrary, build_library, nearby_nominals
-from aerotube.flight.lqr import CONTROL_WEIGHTS, NOISE_WEIGHTS, LqrSweep, best_lqr, time_varying_lqr
+from aerotube.flight.lqr import time_varying_lqr
 from aerotube.flight.metrics import (
     METRIC_SCALE,
     error_metric,
@@ -16,6 +16,14 @@ from aerotube.flight.metrics import (
     upper_envelope,
 )
 from aerotube.flight.simulate import Divergence, Flights, Law, Trace, simulate
+from aerotube.flight.sweep import (
+    CONTROL_WEIGHTS,
+    NOISE_WEIGHTS,
+    InversionSweep,
+    LqrSweep,
+    best_inversion,
+    best_lqr,
+)
 
 __all__ = [
     "CONTROL_WEIGHTS",

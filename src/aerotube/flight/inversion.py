@@ -1,4 +1,4 @@
-r"""A baseline: nonlinear dynamic inversion about the nominal, in two time scales, and the best of a sweep of them.
+r"""A baseline: nonlinear dynamic inversion about the nominal, in two time scales.
 
 Inside, the body rates and the airspeed: controls are sought that give the accelerations
 
@@ -16,7 +16,6 @@ S. A. Snell, D. F. Enns, W. L. Garrard, "Nonlinear inversion flight control for 
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -29,20 +28,11 @@ from aerotube.aircraft.rigid_body import flow_angles
 from aerotube.dynamics.components import split
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.errors import InputError
-from aerotube.flight.draws import Draws
-from aerotube.flight.estimator import ExtendedKalmanFilter
-from aerotube.flight.gusts import Dryden
-from aerotube.flight.simulate import simulate
 from aerotube.nominal import Nominal
 from aerotube.numerics import euler_from_quaternion
 
 Array = NDArray[np.float64]
 Held = Literal["attack", "pitch"]
-
-#: The sweep of :func:`best_inversion`, 1/s: bandwidths of the body rates, of the slow angles, and of the airspeed.
-RATE_GAINS = (1.0, 2.0, 4.0, 8.0, 14.0, 20.0)
-ANGLE_GAINS = (0.25, 0.5, 1.0, 2.0, 4.0)
-SPEED_GAINS = (1.0,)
 
 _FAST = (7, 8, 9)
 _NEWTON_STEPS = 4
@@ -214,96 +204,3 @@ def _slow(state: Array, rates: Sequence[Array], held: Held) -> tuple[Array, Arra
         np.stack([np.sum(about_roll * body, axis=-1), middle_rate, sideslip_rate], axis=-1),
         np.stack([about_roll, about_middle, about_sideslip], axis=-2),
     )
-
-
-@dataclass(frozen=True)
-class InversionSweep:
-    """Outcome of a sweep of inversions.
-
-    Attributes
-    ----------
-    law : DynamicInversion
-        The best one.
-    tried : tuple of (str, float, float, float)
-        Slow angle and gains of rates, angles and airspeed.
-    scores : ndarray (tried,)
-        Mean upper error, mean over the seeds; infinite where a run diverged.
-    seeds : tuple of int
-        On whose draws it was chosen.
-    """
-
-    law: DynamicInversion
-    tried: tuple[tuple[Held, float, float, float], ...]
-    scores: Array
-    seeds: tuple[int, ...]
-
-    @property
-    def words(self) -> str:
-        """The gains that were chosen, in words."""
-        held, rate, angle, speed = self.tried[int(np.argmin(self.scores))]
-        return (
-            f"pitching holds the {'angle of attack' if held == 'attack' else 'pitch angle'}, gains {rate:g} (rates), "
-            f"{angle:g} (angles), {speed:g} (airspeed) 1/s: the best of {len(self.tried)} on the draws of "
-            f"{len(self.seeds)} seed(s)"
-        )
-
-
-def best_inversion(
-    aircraft: Aircraft,
-    nominal: Nominal,
-    draws: Draws,
-    *,
-    noise: float = 0.0,
-    estimator: ExtendedKalmanFilter | None = None,
-    gusts: Dryden | None = None,
-    rate_gains: Sequence[float] = RATE_GAINS,
-    angle_gains: Sequence[float] = ANGLE_GAINS,
-    speed_gains: Sequence[float] = SPEED_GAINS,
-    held: Sequence[Held] = ("attack", "pitch"),
-    seeds: int = 3,
-) -> InversionSweep:
-    """Fly every inversion of a sweep and keep the one with the least mean upper error.
-
-    Parameters
-    ----------
-    aircraft : Aircraft
-        Is inverted, and flies.
-    nominal : Nominal
-    draws : Draws
-        Holds the draws on which it is chosen.
-    noise : float
-        Fraction of the disturbance box that the measurement noise fills.
-    estimator : ExtendedKalmanFilter, optional
-    gusts : Dryden, optional
-    rate_gains, angle_gains, speed_gains, held
-        The sweep; see :class:`DynamicInversion`.
-    seeds : int
-        The choice is made on so many of the draws' seeds, the first ones; all meet the same draws.
-
-    Returns
-    -------
-    InversionSweep
-
-    Raises
-    ------
-    InputError
-        If the sweep is empty, or no seed is left.
-    """
-    tried = tuple(itertools.product(held, rate_gains, angle_gains, speed_gains))
-    if not tried or seeds < 1:
-        raise InputError("dynamic inversion: the sweep is empty; give at least one gain of each kind, and one seed.")
-    scores = np.empty(len(tried))
-    for angle in held:
-        chosen = [i for i, one in enumerate(tried) if one[0] == angle]
-        shared = draws.repeated(len(chosen), seeds)
-        runs = shared.runs // len(chosen)
-        rate, slow, speed = (np.repeat([tried[i][k] for i in chosen], runs) for k in (1, 2, 3))
-        law = DynamicInversion(aircraft, nominal, rate, slow, speed, angle)
-        flights = simulate(aircraft, nominal, law, shared, noise=noise, estimator=estimator, gusts=gusts)
-        errors = flights.mean_upper_error().reshape(len(chosen), -1).mean(axis=1)
-        for divergence in flights.diverged:
-            errors[divergence.run // runs] = np.inf
-        scores[chosen] = errors
-    best = tried[int(np.argmin(scores))]
-    law = DynamicInversion(aircraft, nominal, *best[1:], best[0])
-    return InversionSweep(law, tried, scores, draws.seeds[:seeds])

@@ -9,6 +9,7 @@ the nominal controls fly alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -237,6 +238,7 @@ def _fly(
     outside = ~plant.in_domain(state)
     lost = np.zeros(runs, bool)
     diverged: list[Divergence] = []
+    advance = partial(step, plant, dt=nominal.dt, parameters=draws.parameters, substeps=substeps)
 
     # A run that diverges may overflow on its way out; it is caught and named right after the step.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -245,21 +247,10 @@ def _fly(
             if filtered is not None:
                 measured = filtered.correct(beat, measured)
             if trace is not None and law is not None:
-                trace.error[:, beat] = law.coordinates.difference(state, nominal.states[beat])
-                trace.seen[:, beat] = trace.error[:, beat]
-                if measured is not state:
-                    trace.seen[:, beat] = law.coordinates.difference(measured, nominal.states[beat])
-                trace.error[lost, beat] = np.nan
+                _keep(trace, law, nominal, beat, state, measured, lost)
             controls[:, beat], fallback[:, beat] = _command(plant, nominal, law, beat, measured)
-            state = step(
-                plant,
-                state,
-                controls[:, beat],
-                nominal.dt,
-                parameters=draws.parameters,
-                wind=None if air is None else air[:, beat],
-                substeps=substeps,
-            )
+            wind = None if air is None else air[:, beat]
+            state = advance(state=state, control=controls[:, beat], wind=wind)
             if filtered is not None:
                 filtered.predict(beat, controls[:, beat])
             errors[:, beat + 1] = euler_error(state, nominal.states[beat + 1])
@@ -274,8 +265,7 @@ def _fly(
                     filtered.restart(lost)
             outside |= ~plant.in_domain(state) & ~lost
         if trace is not None and law is not None:
-            trace.error[:, beats] = law.coordinates.difference(state, nominal.states[beats])
-            trace.error[lost, beats] = np.nan
+            _keep(trace, law, nominal, beats, state, None, lost)
     return Flights(
         nominal.times,
         errors,
@@ -288,6 +278,19 @@ def _fly(
         fallback,
         trace,
     )
+
+
+def _keep(
+    trace: Trace, law: Law, nominal: Nominal, beat: int, state: Array, measured: Array | None, lost: NDArray[np.bool_]
+) -> None:
+    """Write down the errors at the start of a beat, and, but for the end of the last one, what the law sees of them."""
+    error = law.coordinates.difference(state, nominal.states[beat])
+    if measured is not None:
+        trace.seen[:, beat] = error
+        if measured is not state:
+            trace.seen[:, beat] = law.coordinates.difference(measured, nominal.states[beat])
+    trace.error[:, beat] = error
+    trace.error[lost, beat] = np.nan
 
 
 def _start_state(plant: Aircraft, nominal: Nominal) -> Array:

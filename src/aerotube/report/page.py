@@ -1,18 +1,16 @@
-"""The page ``report.html``: one file that opens offline."""
+"""The page ``report.html`` of a run: what its sections say."""
 
 from __future__ import annotations
 
-import base64
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from html import escape
-from importlib import resources
 from pathlib import Path
-from string import Template
 from typing import TYPE_CHECKING, Any
 
 from aerotube.report import assurance, interactive
 from aerotube.report.style import flown
+from aerotube.report.template import fill, picture
 from aerotube.report.tubes import certificate_words, sampling_words
 from aerotube.results import CALM, CONDITION_WORDS, CONTROLLER_WORDS, ESTIMATOR, KEY_SUFFIX, NOISE
 
@@ -57,41 +55,6 @@ def build_page(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping
         version=str(dataset.attrs.get("aerotube_version", "")),
         notice=_notice(summary),
         cards=_cards(summary),
-    )
-
-
-def fill(
-    title: str, lead: str, sections: Sequence[tuple[str, str, str]], version: str, notice: str = "", cards: str = ""
-) -> str:
-    """Fill the page's template.
-
-    Parameters
-    ----------
-    title, lead, version : str
-        Plain text.
-    sections : sequence of (str, str, str)
-        Anchor, title (plain text) and body (HTML) of each; those without a body are left out.
-    notice, cards : str
-        HTML.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
-    shown = [one for one in sections if one[2]]
-    links = "".join(f'<a href="#{name}">{escape(words)}</a>' for name, words, _ in shown)
-    bodies = "".join(f'<section id="{name}"><h2>{escape(words)}</h2>{body}</section>' for name, words, body in shown)
-    drawn = any("plotly-graph-div" in body for _, _, body in shown)
-    template = Template(resources.files("aerotube.report").joinpath("page.html").read_text(encoding="utf-8"))
-    return template.substitute(
-        version=escape(version),
-        title=escape(title),
-        lead=escape(lead),
-        notice=notice,
-        cards=cards,
-        sections=f"<nav>{links}</nav>{bodies}",
-        script=f"<script>{interactive.plotly_script()}</script>" if drawn else "",
     )
 
 
@@ -298,13 +261,6 @@ def _aircraft(figures: Mapping[str, Path]) -> str:
 
 def _picture(figures: Mapping[str, Path], name: str, caption: str) -> str:
     return picture(figures[name], caption) if name in figures else ""
-
-
-def picture(path: Path, caption: str) -> str:
-    """Embed a PNG with its caption (plain text): HTML."""
-    data = base64.b64encode(path.read_bytes()).decode()
-    words = escape(caption)
-    return f'<figure><img alt="{words}" src="data:image/png;base64,{data}"><figcaption>{words}</figcaption></figure>'
 
 
 def _scenario(dataset: xr.Dataset) -> str:

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from aerotube.dynamics.errors import ErrorCoordinates, euler_error
 from aerotube.dynamics.step import step
-from aerotube.runtime.plant import Truth, World
 from aerotube.runtime.record import Record
+from aerotube.runtime.world import Truth, World
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from aerotube.errors import ComputationError
 from aerotube.preparation import Prepared
-from aerotube.runtime import plant as plants
+from aerotube.runtime import aircraft_process
 from aerotube.runtime.alone import fly_alone
 from aerotube.runtime.channels import Channel, QueueChannel, SocketChannel
 from aerotube.runtime.commander import Beat, Commander
@@ -27,13 +27,13 @@ from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Rung
 from aerotube.runtime.options import Options, make_commander, make_estimator, make_task, make_world
 from aerotube.runtime.pilot import Pilot
-from aerotube.runtime.plant import Truth, World
 from aerotube.runtime.record import Record
 from aerotube.runtime.session import Session
 from aerotube.runtime.task import Task
 from aerotube.runtime.watchdog import Watchdog
 from aerotube.runtime.windows import compute
 from aerotube.runtime.workers import Workers
+from aerotube.runtime.world import Truth, World
 
 Array = NDArray[np.float64]
 
@@ -175,10 +175,12 @@ def _start(world: World, channel: Any, options: Options) -> tuple[Any, Any]:
     context = multiprocessing.get_context("spawn")
     report, away = context.Pipe(duplex=False)
     if options.link == "thread":
-        thread = threading.Thread(target=plants.run, args=(world, channel, away), name="aircraft", daemon=True)
+        thread = threading.Thread(
+            target=aircraft_process.run, args=(world, channel, away), name="aircraft", daemon=True
+        )
         thread.start()
         return thread, report
-    process = context.Process(target=plants.run, args=(world, channel, away), name="aircraft", daemon=True)
+    process = context.Process(target=aircraft_process.run, args=(world, channel, away), name="aircraft", daemon=True)
     try:
         process.start()
     except OSError as error:

@@ -13,10 +13,11 @@ from aerotube.compensation import SynthesisSettings
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.errors import InputError
 from aerotube.preparation import Prepared, drawn_parameters, estimated_parameters
+from aerotube.runtime.actuators import Actuators
 from aerotube.runtime.commander import Commander
 from aerotube.runtime.law import Form
-from aerotube.runtime.plant import Actuators, World
 from aerotube.runtime.task import Task
+from aerotube.runtime.world import World
 
 #: The paper's runtime case (its Section 4.6): 3 m/s too slow, 0.3 degrees of sideslip, everything else on the nominal.
 PAPER_DEVIATION = np.array([-3.0, 0.0, 0.0, 0.0, np.radians(0.3), 0.0, 0.0, 0.0])

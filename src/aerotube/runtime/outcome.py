@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from aerotube.dynamics.errors import euler_error
 from aerotube.flight.metrics import error_metric, mean_absolute_error, root_mean_square_error
+from aerotube.runtime.aircraft_process import GRACE
 from aerotube.runtime.alone import nominal_of
 from aerotube.runtime.flight import Flown
-from aerotube.runtime.plant import GRACE
 from aerotube.runtime.promises import promises
 from aerotube.runtime.record import WindowTimes
 from aerotube.runtime.watchdog import stolen

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from aerotube.report.page import fill, picture
+from aerotube.report.template import fill, picture
 from aerotube.results import ensure_folder, whole_file, write_json, write_text
 from aerotube.runtime import log
 from aerotube.runtime.limits import what_limits

@@ -26,8 +26,8 @@ class WindowTimes:
     ----------
     first, beats : int
         The beats, counted from take-off.
-    asked, started, done, needed : float
-        ``needed`` is when its first beat was due; ``done`` is NaN if it never was.
+    asked, started, done : float
+        Infinite for what never was.
     attempts : int
     computed : int
         Beats that were still to come when its turn came, and have laws.
@@ -43,7 +43,6 @@ class WindowTimes:
     asked: float
     started: float
     done: float
-    needed: float
     attempts: int
     computed: int = 0
     designed: int = 0

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from aerotube import compensation, flight
-from aerotube.aircraft.f16_aerodynamics import SPAN
-from aerotube.compensation import LinearLaw, SynthesisSettings
-from aerotube.dynamics import ErrorCoordinates, linearise
-from aerotube.flight import Law
-from aerotube.nominal import Nominal
 from aerotube.results import CALM, CONDITION_WORDS, ESTIMATOR, KEY_SUFFIX, NOISE
-from aerotube.studies.bench import CONDITIONS, SETTING, Bench
+from aerotube.studies.bench import CONDITIONS, Bench
+from aerotube.studies.methods_entered import (
+    AIR,
+    LIBRARY_SEED,
+    LIBRARY_SIZE,
+    METHODS,
+    SATURATION,
+    SWEEP_SEEDS,
+    Entered,
+    enter_all,
+    gusts_in,
+)
 from aerotube.studies.methods_figure import methods_figure
 from aerotube.studies.outcome import Compared, Outcome, Table, compare
 from aerotube.studies.statistics import LEVEL, paired, spread
@@ -26,49 +27,14 @@ from aerotube.studies.statistics import LEVEL, paired, spread
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = NDArray[np.float64]
-
-METHODS = {
-    "none": "no compensation",
-    "lqr": "time-varying LQR, swept",
-    "inversion": "dynamic inversion, swept",
-    "library": "tube library",
-    "compensation": "ours, decoupled",
-    "coupled": "ours, coupled",
-    "saturating": "ours, saturating",
-}
-AIR = {"still": "still air", "gusts": "moderate gusts"}
 FACTORS = (1.0, 1.5, 2.0)
 
 OURS = ("compensation", "coupled", "saturating")
 
-#: How many times its limits the saturating law may ask for where they must hold.
-SATURATION = 4.0
-
-#: Of the LQR's sweep, wider than the scenario's; its control weights are the scenario's.
-LQR_NOISE_WEIGHTS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-
-#: On the draws of so many seeds, the first ones, every sweep chooses.
-_SWEEP_SEEDS = 3
-
-#: The library: so many manoeuvres from a box of starts and controls around the nominal (SI), and what counts as a
-#: unit of distance: the half-ranges of the paper's Table 3.
-LIBRARY_SIZE, LIBRARY_SEED = 16, 1
-_LIBRARY_BOX = np.array([20.0, *np.radians([4, 5, 10, 2, 5, 4, 10, 2]), 0.1, *np.radians([2, 3])])
-_LIBRARY_SCALE = np.array([75.0, *np.radians([17.5, 30, 60, 10, 50, 10, 90, 15]), 0.3, *np.radians([15, 25])])
-
-
-@dataclass(frozen=True)
-class _Entered:
-    """A law that takes part in a condition, and how it was made."""
-
-    law: Law | None
-    words: str
-
 
 def study(bench: Bench) -> Outcome:
     """Fly all methods in all conditions."""
-    entered = _enter(bench)
+    entered = enter_all(bench)
     dataset = _fly(bench, entered)
     error = dataset["mean_upper_error"]
     rows = [row for condition in CONDITIONS for row in _rows(error, condition)]
@@ -89,7 +55,7 @@ def study(bench: Bench) -> Outcome:
 _NOTES = (
     "The paper sets these methods side by side in words only (its Table 1): it has no numbers to compare with.",
     "Every method flies on the same draws. LQR and dynamic inversion are chosen, by a sweep on the first "
-    f"{_SWEEP_SEEDS} seeds, anew for each condition and each air, at the size designed for, and flown unchanged "
+    f"{SWEEP_SEEDS} seeds, anew for each condition and each air, at the size designed for, and flown unchanged "
     "under larger disturbances. Those seeds are among the ones that count. Ours is as the scenario sets it, "
     "whatever the air.",
     "All commands are cut off at the control limits in flight. Our coupled and decoupled laws hold the limits by "
@@ -104,97 +70,7 @@ _NOTES = (
 )
 
 
-def _enter(bench: Bench) -> dict[tuple[str, str, str], _Entered]:
-    """The law of every method in every condition and air."""
-    entered: dict[tuple[str, str, str], _Entered] = {}
-    library = _library(bench)
-    for place, condition in enumerate(CONDITIONS):
-        bench.tell(f"laws, {CONDITION_WORDS[condition]}", 0.1 + 0.1 * place)
-        settings = bench.settings(condition)
-        alike = {
-            "none": _Entered(None, ""),
-            "library": library(condition),
-            "compensation": _Entered(bench.design(settings).law, ""),
-            "coupled": _Entered(bench.design(replace(settings, algorithm="coupled")).law, ""),
-            "saturating": _Entered(bench.design(replace(settings, saturation=SATURATION)).law, ""),
-        }
-        for air in AIR:
-            entered |= {(method, condition, air): one for method, one in alike.items()}
-            entered["lqr", condition, air] = _lqr(bench, condition, air)
-            entered["inversion", condition, air] = _inversion(bench, condition, air)
-    return entered
-
-
-def _gusts(bench: Bench, air: str) -> flight.Dryden | None:
-    start = bench.prepared.nominal.states[0]
-    if air == "still":
-        return None
-    return flight.Dryden("moderate", float(start[12]), float(np.linalg.norm(start[:3])), SPAN)
-
-
-def _lqr(bench: Bench, condition: str, air: str) -> _Entered:
-    ready, coordinates = bench.prepared, ErrorCoordinates("relative")
-    weights = ready.source.scenario.lqr
-    sweep = flight.best_lqr(
-        ready.rigid,
-        ready.nominal,
-        linearise(ready.model, ready.nominal, coordinates),
-        coordinates,
-        ready.draws,
-        control_weights=weights.control_weights,
-        noise_weights=LQR_NOISE_WEIGHTS,
-        seeds=_SWEEP_SEEDS,
-        gusts=_gusts(bench, air),
-        **bench.flying(condition),
-    )
-    words = (
-        f"control weight {sweep.control_weight:g}, noise weight {sweep.noise_weight:g}: the best of "
-        f"{sweep.scores.size} on the draws of {len(sweep.seeds)} seed(s)"
-    )
-    return _Entered(sweep.law, words)
-
-
-def _inversion(bench: Bench, condition: str, air: str) -> _Entered:
-    ready = bench.prepared
-    sweep = flight.best_inversion(
-        ready.rigid,
-        ready.nominal,
-        ready.draws,
-        seeds=_SWEEP_SEEDS,
-        gusts=_gusts(bench, air),
-        **bench.flying(condition),
-    )
-    return _Entered(sweep.law, sweep.words)
-
-
-def _library(bench: Bench) -> Callable[[str], _Entered]:
-    """A library for each setting of the synthesis."""
-    ready = bench.prepared
-    nominals = flight.nearby_nominals(ready.rigid, ready.nominal, _LIBRARY_BOX, LIBRARY_SIZE, LIBRARY_SEED)
-    known = {}
-    for place, key in enumerate(sorted(set(SETTING.values()))):
-        bench.tell("tube library", 0.05 * place)
-        known[key] = flight.build_library(nominals, partial(_linear_law, bench, ready.settings[key]), _LIBRARY_SCALE)
-
-    def enter(condition: str) -> _Entered:
-        library = known[SETTING[condition]]
-        entry, distance = library.nearest(ready.nominal)
-        words = (
-            f"{len(library.points)} laws, {len(set(entry))} of them flown, at a distance of {distance.mean():.2f} "
-            "half-ranges of Table 3 on average"
-        )
-        return _Entered(library.law(ready.nominal), words)
-
-    return enter
-
-
-def _linear_law(bench: Bench, settings: SynthesisSettings, nominal: Nominal) -> LinearLaw:
-    ready = bench.prepared
-    made = compensation.design(ready.model, nominal, ready.disturbance, settings, workers=bench.workers)
-    return cast("LinearLaw", made.law)  # of the first degree in both settings of the built-in scenario
-
-
-def _fly(bench: Bench, entered: dict[tuple[str, str, str], _Entered]) -> xr.Dataset:
+def _fly(bench: Bench, entered: dict[tuple[str, str, str], Entered]) -> xr.Dataset:
     import xarray as xr
 
     grid = (len(METHODS), len(CONDITIONS), len(AIR), len(FACTORS))
@@ -214,7 +90,7 @@ def _fly(bench: Bench, entered: dict[tuple[str, str, str], _Entered]) -> xr.Data
                 error[at], diverged[at], outside[at] = error[same], diverged[same], outside[same]
                 continue
             law = entered[method, condition, air].law
-            flown = bench.fly(law, condition, draws=draws, gusts=_gusts(bench, air))
+            flown = bench.fly(law, condition, draws=draws, gusts=gusts_in(bench, air))
             error[at] = flown.mean_upper_error()
             diverged[at], outside[at] = len(flown.diverged), int(flown.outside.sum())
     where = ("controller", "condition", "air", "factor")
@@ -292,7 +168,7 @@ def _table(dataset: xr.Dataset) -> Table:
     return Table("Mean upper error (deg), mean over the seeds ± sd", head, tuple(rows))
 
 
-def _made(entered: dict[tuple[str, str, str], _Entered]) -> Table:
+def _made(entered: dict[tuple[str, str, str], Entered]) -> Table:
     rows = tuple(
         (METHODS[method], CONDITION_WORDS[condition], AIR[air], one.words)
         for (method, condition, air), one in entered.items()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from aerotube import __version__
-from aerotube.report.page import fill, picture
+from aerotube.report.template import fill, picture
 
 
 def build_page(finished: Sequence[Mapping[str, Any]], folder: Path) -> str:

@@ -19,11 +19,12 @@ from aerotube.report.style import new_figure
 from aerotube.results import CALM
 from aerotube.results.record import CONTROLS, STATES
 from aerotube.studies.bench import Bench
-from aerotube.studies.outcome import Outcome, Table, compare
+from aerotube.studies.outcome import Compared, Outcome, Table, compare
 from aerotube.studies.statistics import LEVEL, welch
 from aerotube.units import DISPLAY
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
@@ -62,8 +63,6 @@ _FACTORS = np.array([DISPLAY[name].factor for name in INPUTS])
 
 def study(bench: Bench) -> Outcome:
     """Change one nominal input at a time and see how far the law's coefficients move."""
-    import xarray as xr
-
     pairs = min(PAIRS, max(bench.runs, 3))
     base = replace(bench.settings(CALM), shape="riccati")
     settings = {"mean-square": base, "worst-case": replace(base, size="worst-case")}
@@ -74,7 +73,35 @@ def study(bench: Bench) -> Outcome:
     changes = moved["mean-square"]
     if not np.isfinite(changes).all(axis=(1, 2)).any():
         raise ComputationError("sensitivity: no pair of nominals has laws on both sides")
-    dataset = xr.Dataset(
+    orders = {name: _ranking(changes[..., c]) for c, name in enumerate(CONTROLS)}
+    influential = [(control, name) for control in CONTROLS for name in PAPER[control]]
+    agree = [name for control, name in influential if name in orders[control][:5]]
+    return Outcome(
+        dataset=_dataset(moved, points, rejected),
+        figure=_figure(changes, pairs),
+        caption=(
+            f"Change ΔC of the law's coefficients when one nominal input is replaced, mean over {pairs} pairs of "
+            "random nominals and its 95 % interval (Fig. 17). Dark: what the paper names as most influential."
+        ),
+        compared=tuple(_rows(changes, orders)),
+        verdict=(
+            "Most influential: "
+            + ", ".join(f"{DISPLAY[orders[c][0]].name} for the {DISPLAY[c].name}" for c in CONTROLS)
+            + f". Of the {len(influential)} inputs that the paper names, {len(agree)} are among our first five."
+        ),
+        notes=(
+            *_NOTES,
+            f"{rejected} pairs were drawn again because a nominal left the aircraft's tables within a beat.",
+        ),
+        tables=(_table(changes, orders), _other_size(moved)),
+    )
+
+
+def _dataset(moved: dict[str, Array], points: Array, rejected: int) -> xr.Dataset:
+    import xarray as xr
+
+    changes = moved["mean-square"]
+    return xr.Dataset(
         {
             "change": (
                 ("size", "pair", "input", "control"),
@@ -89,7 +116,7 @@ def study(bench: Bench) -> Outcome:
             "nominal": (("point", "pair", "input"), points / _FACTORS, {"units": "SI"}),
         },
         coords={
-            "size": list(settings),
+            "size": list(moved),
             "input": list(INPUTS),
             "other": list(INPUTS),
             "control": list(CONTROLS),
@@ -97,7 +124,10 @@ def study(bench: Bench) -> Outcome:
         },
         attrs={"draw_seed": SEED, "rejected_pairs": rejected},
     )
-    orders = {name: _ranking(changes[..., c]) for c, name in enumerate(CONTROLS)}
+
+
+def _rows(changes: Array, orders: dict[str, list[str]]) -> list[Compared]:
+    """Every input of every control, beside what the paper names."""
     rows = []
     for c, control in enumerate(CONTROLS):
         mean = np.nanmean(changes[..., c], axis=0)
@@ -108,27 +138,7 @@ def study(bench: Bench) -> Outcome:
             values = changes[:, i, c][np.isfinite(changes[:, i, c])]
             told = f"place {place} of 12; {named}"
             rows.append(compare(f"{control}_{name}", words, None, values / mean.max(), "of the largest", told))
-    influential = [(control, name) for control in CONTROLS for name in PAPER[control]]
-    agree = [name for control, name in influential if name in orders[control][:5]]
-    return Outcome(
-        dataset=dataset,
-        figure=_figure(changes, pairs),
-        caption=(
-            f"Change ΔC of the law's coefficients when one nominal input is replaced, mean over {pairs} pairs of "
-            "random nominals and its 95 % interval (Fig. 17). Dark: what the paper names as most influential."
-        ),
-        compared=tuple(rows),
-        verdict=(
-            "Most influential: "
-            + ", ".join(f"{DISPLAY[orders[c][0]].name} for the {DISPLAY[c].name}" for c in CONTROLS)
-            + f". Of the {len(influential)} inputs that the paper names, {len(agree)} are among our first five."
-        ),
-        notes=(
-            *_NOTES,
-            f"{rejected} pairs were drawn again because a nominal left the aircraft's tables within a beat.",
-        ),
-        tables=(_table(changes, orders), _other_size(moved)),
-    )
+    return rows
 
 
 _NOTES = (

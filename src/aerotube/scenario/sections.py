@@ -1,20 +1,13 @@
-"""Scenarios: what to fly, in a validated TOML file, and the objects that it names."""
+"""The sections of a scenario and their keys: types, units, ranges, and what must go together."""
 
 from __future__ import annotations
 
-import difflib
-import hashlib
-import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass
-from importlib import resources
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
 from aerotube import inequality
-from aerotube.errors import InputError
+from aerotube.scenario.mistakes import shown
 from aerotube.units import quantity_parser
 
 Speed = Annotated[float, BeforeValidator(quantity_parser("speed"))]
@@ -207,7 +200,7 @@ def _size(value: Any) -> Any:
         names = ", ".join(f'"{name}"' for name in _SIZES)
         raise ValueError(
             f"expected one of {names}, or a mixture with positive weights such as "
-            f"{{worst-case = 1.0, mean-square = 0.1}}, not {_shown(value)}"
+            f"{{worst-case = 1.0, mean-square = 0.1}}, not {shown(value)}"
         )
     return value
 
@@ -284,167 +277,3 @@ class Scenario(_Section):
     synthesis: Synthesis = Synthesis()
     flight: Flight = Flight()
     lqr: Lqr = Lqr()
-
-
-@dataclass(frozen=True)
-class Source:
-    """A scenario with the text that it came from.
-
-    Attributes
-    ----------
-    scenario : Scenario
-    name : str
-        Name of the file, or "built-in".
-    text : str
-        The TOML text, without the overrides.
-    overrides : dict
-        Keys (dotted) that were set over the text, with their values as written.
-    folder : Path
-        What relative paths in the scenario are relative to.
-    """
-
-    scenario: Scenario
-    name: str
-    text: str
-    overrides: dict[str, Any]
-    folder: Path
-
-    @property
-    def sha256(self) -> str:
-        """Hash of the text."""
-        return hashlib.sha256(self.text.encode()).hexdigest()
-
-
-def built_in_text(name: str = "table2") -> str:
-    """Return the TOML text of a built-in scenario, comments included."""
-    return resources.files("aerotube").joinpath("scenarios", f"{name}.toml").read_text(encoding="utf-8")
-
-
-def load(path: str | Path | None = None, overrides: Mapping[str, Any] | None = None) -> Source:
-    """Read and validate a scenario.
-
-    Parameters
-    ----------
-    path : str or Path, optional
-        A TOML file; the built-in scenario (Table 2) without it.
-    overrides : mapping, optional
-        Dotted keys with values as they would be written in the file, set over the text.
-
-    Returns
-    -------
-    Source
-
-    Raises
-    ------
-    InputError
-        If the file is missing or no TOML, or a key is unknown, missing, of the wrong type or unit, or
-        out of range.
-    """
-    if path is None:
-        name, folder, text = "built-in", Path.cwd(), built_in_text()
-    else:
-        file = Path(path)
-        name, folder = str(path), file.resolve().parent
-        try:
-            text = file.read_text(encoding="utf-8")
-        except FileNotFoundError:
-            raise InputError(f"scenario {name}: no such file; `aerotube init FILE` writes one to start from") from None
-        except UnicodeDecodeError:
-            raise InputError(f"scenario {name} is not text in UTF-8") from None
-        except OSError as error:
-            raise InputError(f"scenario {name} cannot be read: {error.strerror}") from None
-    return parse(text, name=name, folder=folder, overrides=overrides)
-
-
-def parse(
-    text: str,
-    *,
-    name: str = "scenario",
-    folder: Path | None = None,
-    overrides: Mapping[str, Any] | None = None,
-) -> Source:
-    """Validate the TOML text of a scenario; see `load`."""
-    try:
-        document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"scenario {name} is not valid TOML: {error}") from None
-    chosen = dict(overrides or {})
-    for key, value in chosen.items():
-        _set(document, key.split("."), value)
-    try:
-        scenario = Scenario.model_validate(document)
-    except ValidationError as error:
-        raise InputError(f"scenario {name}: {_sentence(error, chosen)}") from None
-    return Source(scenario, name, text, chosen, folder or Path.cwd())
-
-
-def _set(document: dict[str, Any], keys: list[str], value: Any) -> None:
-    for key in keys[:-1]:
-        inner = document.setdefault(key, {})
-        if not isinstance(inner, dict):
-            return  # the validation below names the misplaced key
-        document = inner
-    document[keys[-1]] = value
-
-
-_EXPECTED = {
-    "float_type": "a number without quotes",
-    "int_type": "a whole number without quotes",
-    "int_from_float": "a whole number",
-    "bool_type": "true or false",
-    "string_type": "text in quotes",
-    "list_type": "a list in brackets",
-    "too_short": "a list of at least one value",
-    "finite_number": "a finite number",
-    "model_type": "a table",
-    "model_attributes_type": "a table",
-}
-
-
-def _sentence(error: ValidationError, overrides: Mapping[str, Any]) -> str:
-    """Turn the first problem into one sentence: where, what, and what to do."""
-    # An unknown key explains a missing one better than the other way round.
-    problems = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    first = problems[0]
-    place = ".".join(str(part) for part in first["loc"])
-    kind, given = first["type"], first["input"]
-    context = first.get("ctx", {})
-    if kind == "extra_forbidden":
-        known = _known_keys(first["loc"][:-1])
-        close = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
-        hint = f'did you mean "{close[0]}"?' if close else f"known here: {', '.join(known)}"
-        sentence = f"{place} is an unknown key; {hint}"
-    elif kind == "missing":
-        sentence = f"{place} is missing; add it"
-    elif kind in _EXPECTED:
-        sentence = f"{place} must be {_EXPECTED[kind]}, not {_shown(given)}"
-    elif kind == "literal_error":
-        sentence = f"{place} must be {context['expected']}, not {_shown(given)}"
-    elif kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
-        words = kind.replace("_than", " than").replace("_equal", " or equal to")
-        (bound,) = context.values()
-        sentence = f"{place} must be {words} {bound:g}, not {_shown(given)}"
-    elif kind == "value_error":
-        message = str(context["error"])
-        sentence = message if len(first["loc"]) <= 1 else f"{place}: {message}"
-    else:
-        sentence = f"{place}: {first['msg']} (given: {_shown(given)})"
-    if place in overrides:
-        sentence += " (set by a command-line option)"
-    if len(problems) > 1:
-        sentence += f" (and {len(problems) - 1} more)"
-    return sentence
-
-
-def _shown(value: Any) -> str:
-    text = f'"{value}"' if isinstance(value, str) else str(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _known_keys(location: tuple[int | str, ...]) -> list[str]:
-    model: Any = Scenario
-    for part in location:
-        annotation = model.model_fields[str(part)].annotation
-        candidates = [annotation, *getattr(annotation, "__args__", ())]
-        model = next(c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel))
-    return list(model.model_fields)
