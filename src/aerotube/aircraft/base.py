@@ -118,6 +118,22 @@ class Aircraft(ABC):
         moved = tuple(nominal + change for nominal, change in zip(control, increment, strict=True))
         return self.rates(state, moved, parameters, wind)
 
+    def increment_limits(self, state: Sequence[Any], control: Sequence[Any]) -> tuple[Components, Components]:
+        """Component-wise :meth:`virtual_limits`: what :meth:`realise` allows at a state around a nominal control.
+
+        Parameters
+        ----------
+        state, control : sequences of components
+            Each a float, an array or a Taylor model.
+
+        Returns
+        -------
+        lower, upper : tuple of components
+            Least and largest increment of each virtual control.
+        """
+        span = tuple(zip(control, self.control_lower, self.control_upper, strict=True))
+        return tuple(low - a for a, low, _ in span), tuple(high - a for a, _, high in span)
+
     def virtual_limits(self, state: ArrayLike, control: ArrayLike) -> tuple[Array, Array]:
         """Increments of the virtual controls that the control limits leave around a nominal control.
 
@@ -132,8 +148,10 @@ class Aircraft(ABC):
         lower, upper : array (..., m)
             ``lower <= 0 <= upper``.
         """
-        _, control = self._checked(state, control)
-        return np.minimum(self.control_lower - control, 0.0), np.maximum(self.control_upper - control, 0.0)
+        x, a = self._checked(state, control)
+        lower, upper = self.increment_limits(split(x), split(a))
+        low, high = (np.stack(np.broadcast_arrays(*parts), axis=-1) for parts in (lower, upper))
+        return np.minimum(low, 0.0), np.maximum(high, 0.0)
 
     def realise(self, state: ArrayLike, control: ArrayLike, increment: ArrayLike) -> Array:
         """Controls, within their limits, that give an increment of the virtual controls at a state.

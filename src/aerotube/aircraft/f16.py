@@ -401,17 +401,13 @@ class F16(Aircraft):
         moved = (a[0] + d[0], throttle, a[2] + d[2], a[3] + d[3])
         return lagging_rates(self.airframe, x, moved, inverse_mass, air, *others)
 
-    def virtual_limits(self, state: ArrayLike, control: ArrayLike) -> tuple[Array, Array]:
+    def increment_limits(self, state: Sequence[Any], control: Sequence[Any]) -> tuple[Components, Components]:
         """Increments that the control limits leave; thrust from idle to maximum at each state's Mach and altitude."""
-        x, a = self._checked(state, control)
-        lower, upper = super().virtual_limits(x, a)
-        levels = self._levels(split(x), STILL_AIR)
-        thrust = thrust_from_power(power_from_throttle(a[..., 1]), levels)
-        shape = (*thrust.shape, 4)
-        lower, upper = np.broadcast_to(lower, shape).copy(), np.broadcast_to(upper, shape).copy()
-        lower[..., 1] = np.minimum(levels[0] - thrust, 0.0)
-        upper[..., 1] = np.maximum(levels[2] - thrust, 0.0)
-        return lower, upper
+        (*lower,), (*upper,) = super().increment_limits(state, control)
+        levels = self._levels(tuple(state), STILL_AIR)
+        thrust = thrust_from_power(power_from_throttle(control[1]), levels)
+        lower[1], upper[1] = levels[0] - thrust, levels[2] - thrust
+        return tuple(lower), tuple(upper)
 
     def realise(self, state: ArrayLike, control: ArrayLike, increment: ArrayLike) -> Array:
         """Controls, within their limits, that give increments of elevator, thrust, aileron and rudder at a state."""

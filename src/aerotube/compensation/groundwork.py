@@ -135,33 +135,54 @@ def _make(aircraft: Aircraft, nominal: Nominal, disturbance: DisturbanceSet, set
     expected = expectations(aircraft, nominal, disturbance, settings, linear)
     seen = coordinates.box(nominal.states[:-1], (1.0 + settings.measurement_error) * disturbance.half_widths)
     parts = []
-    # halves of the same number of errors ask for the same
-    room = {
-        size: available_increments(
-            aircraft,
-            nominal.states[:-1],
-            nominal.controls,
-            coordinates,
-            seen * (np.sqrt(size) if settings.limits == "ellipsoid" else 1.0),
-        )
-        for size in {len(part.errors) for part in settings.parts}
-    }
-    for part in settings.parts:
-        lower, upper = room[len(part.errors)]
-        if settings.rate_limits is not None:
-            half = _share_of_rate(aircraft, nominal, np.array(settings.rate_limits))
-            lower, upper = np.maximum(lower, -half), np.minimum(upper, half)
+    for part, (lower, upper) in zip(
+        settings.parts, control_room(aircraft, nominal, settings, coordinates, seen), strict=True
+    ):
         metric, joint = _metrics(nominal, settings, part, linear, expected, effort)
         parts.append(
             PartGround(
                 initial=initial_ellipsoid(disturbance, coordinates, nominal.states[:-1], part),
                 metric=metric,
                 joint_metric=joint,
-                lower=lower[:, part.controls],
-                upper=upper[:, part.controls],
+                lower=lower,
+                upper=upper,
             )
         )
     return Groundwork(coordinates, vertices, linear, input_map, effort, expected, seen, tuple(parts))
+
+
+def control_room(
+    aircraft: Aircraft, nominal: Nominal, settings: SynthesisSettings, coordinates: ErrorCoordinates, seen: Array
+) -> list[tuple[Array, Array]]:
+    """How far the laws of each part may move its virtual controls, on the set on which limits hold.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+    nominal : Nominal
+    settings : SynthesisSettings
+        Their parts, limits, and limits of rate.
+    coordinates : ErrorCoordinates
+    seen : ndarray (T, 8)
+        Half-widths of the box of errors as they are measured.
+
+    Returns
+    -------
+    list of (ndarray (T, m), ndarray (T, m))
+        Least and largest increments.
+    """
+    states, controls = nominal.states[:-1], nominal.controls
+    # halves of the same number of errors ask for the same
+    room = {}
+    for size in {len(part.errors) for part in settings.parts}:
+        reach = seen * (np.sqrt(size) if settings.limits == "ellipsoid" else 1.0)
+        lower, upper = available_increments(aircraft, states, controls, coordinates, reach)
+        if settings.rate_limits is not None:
+            half = _share_of_rate(aircraft, nominal, np.array(settings.rate_limits))
+            lower, upper = np.maximum(lower, -half), np.minimum(upper, half)
+        room[size] = lower, upper
+    own = [(room[len(part.errors)], list(part.controls)) for part in settings.parts]
+    return [(lower[:, controls], upper[:, controls]) for (lower, upper), controls in own]
 
 
 def taken(arrays: Arrays, beats: NDArray[np.intp]) -> Arrays:

@@ -236,7 +236,8 @@ def enclose_error_map(
         Of those beats.
     law : callable, optional
         From the components of the measured error, polynomials here, to those of the increment of the virtual
-        controls; none by default. Its limits are not applied: they must hold over the set by themselves.
+        controls; none by default. What the aircraft's limits do not allow at the measured state is cut off, as in
+        flight; where a law asks for it, by however much, goes to the remainder.
     order : int
         Total degree of the polynomials.
 
@@ -265,15 +266,15 @@ def enclose_error_map(
     ]
     wind = None if over.wind is None else [affine(zero, over.wind[:, i]) for i in range(6)]
     try:
-        start = coordinates.retract_components([space.constant(x) for x in nominal.states[beats].T], error)
+        before = [space.constant(x) for x in nominal.states[beats].T]
+        control = [space.constant(a) for a in nominal.controls[beats].T]
+        start, increment = coordinates.retract_components(before, error), None
+        if law is not None:
+            at = start if over.measurement is None else coordinates.retract_components(before, seen)
+            limits = zip(law(seen), *aircraft.increment_limits(at, control), strict=True)
+            increment = [np.minimum(np.maximum(move, low), high) for move, low, high in limits]
         end = step_components(
-            aircraft,
-            start,
-            [space.constant(a) for a in nominal.controls[beats].T],
-            nominal.dt,
-            parameters=sigma,
-            wind=wind,
-            increment=None if law is None else law(seen),
+            aircraft, start, control, nominal.dt, parameters=sigma, wind=wind, increment=increment
         )
         final = coordinates.difference_components(end, [space.constant(x) for x in nominal.states[beats + 1].T])
     except ValueError as refusal:

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from aerotube.compensation import KINDS, flown_size
 from aerotube.compensation.bounds import Beyond, whole_set
-from aerotube.compensation.design import available_increments
-from aerotube.compensation.groundwork import groundwork
+from aerotube.compensation.groundwork import control_room
+from aerotube.compensation.sets import initial_ellipsoid
+from aerotube.compensation.settings import Part
 from aerotube.dynamics import flown_map
 from aerotube.nominal import Nominal
 from aerotube.runtime.law import Laws
 from aerotube.runtime.task import Task
+from aerotube.tube import DisturbanceBox, ellipsoid
 
 Array = NDArray[np.float64]
 
@@ -69,23 +71,57 @@ def whole(task: Task, nominal: Nominal, beats: NDArray[np.intp], some: Laws | No
     if some is not None:
         out.coefficients[beats], out.reach[beats] = some.coefficients, some.reach
     if task.settings.saturation > 1.0:
-        ground = groundwork(task.aircraft, nominal, task.disturbance, task.settings)
-        for part, own in zip(task.settings.parts, ground.parts, strict=True):
-            out.room[:, part.controls] = np.stack([own.lower, own.upper], axis=-1)
+        settings = task.settings
+        widths = (1.0 + settings.measurement_error) * task.disturbance.half_widths
+        seen = task.coordinates.box(nominal.states[:-1], widths)
+        rooms = control_room(task.aircraft, nominal, settings, task.coordinates, seen)
+        for part, room in zip(settings.parts, rooms, strict=True):
+            out.room[:, part.controls] = np.stack(room, axis=-1)
     return out
 
 
 def within_limits(task: Task, nominal: Nominal, beats: NDArray[np.intp], laws: Laws) -> NDArray[np.bool_]:
-    """Whether each part's law keeps its controls within their limits on the disturbance box: (b, parts)."""
+    """Whether each part's law keeps its controls where the settings want them, limits of rate included: (b, parts).
+
+    On the disturbance box as it is measured, or the ellipsoid around it. A law that saturates always does.
+    """
     settings, coordinates = task.settings, task.coordinates
     if settings.saturation > 1.0:
         return np.ones((len(beats), len(settings.parts)), bool)
-    seen = coordinates.box(nominal.states[beats], (1.0 + settings.measurement_error) * task.disturbance.half_widths)
-    lower, upper = available_increments(
-        task.aircraft, nominal.states[beats], nominal.controls[beats], coordinates, seen
-    )
-    limit = np.minimum(-lower, upper)
-    # no monomial is larger on the box than at its corner
+    seen = coordinates.box(nominal.states[:-1], (1.0 + settings.measurement_error) * task.disturbance.half_widths)
+    rooms = control_room(task.aircraft, nominal, settings, coordinates, seen)
+    inside = []
+    for part, (lower, upper) in zip(settings.parts, rooms, strict=True):
+        limit = np.minimum(-lower[beats], upper[beats])
+        own = laws.coefficients[beats][:, list(part.controls)]
+        most = _most_in_ellipsoid if settings.limits == "ellipsoid" else _most_in_box
+        moved = most(task, nominal, beats, part, own, seen[beats])
+        inside.append((moved <= (1.0 + 1e-6) * limit + 1e-12).all(1))
+    return np.stack(inside, axis=1)
+
+
+def _most_in_box(
+    task: Task, _nominal: Nominal, _beats: NDArray[np.intp], _part: Part, coefficients: Array, seen: Array
+) -> Array:
+    """Bound of the increments over a box of errors: (b, m); no monomial is larger there than at its corner."""
     largest = np.prod(seen[:, None] ** task.form.exponents, axis=2)
-    inside = np.sum(np.abs(laws.coefficients[beats]) * largest[:, None, :], axis=-1) <= (1.0 + 1e-6) * limit + 1e-12
-    return np.stack([inside[:, part.controls].all(1) for part in settings.parts], axis=1)
+    return np.asarray(np.sum(np.abs(coefficients) * largest[:, None, :], axis=-1))
+
+
+def _most_in_ellipsoid(
+    task: Task, nominal: Nominal, beats: NDArray[np.intp], part: Part, coefficients: Array, seen: Array
+) -> Array:
+    """The same over the ellipsoid around the disturbances as they are measured; a norm for the linear terms."""
+    states, errors = nominal.states[beats], list(part.errors)
+    initial = initial_ellipsoid(task.disturbance, task.coordinates, states, part)
+    if isinstance(task.disturbance, DisturbanceBox):
+        growth = (seen[:, errors] / initial.widths).max(-1)
+    else:
+        widths = task.settings.measurement_error * task.disturbance.half_widths
+        growth = initial.seen_growth(task.coordinates.box(states, widths)[:, errors])
+    linear = task.form.exponents.sum(axis=1) == 1
+    slopes = coefficients[:, :, linear] @ task.form.exponents[linear].astype(float)
+    moved = growth[:, None] * np.linalg.norm(slopes[:, :, errors] @ initial.whitening, axis=-1)
+    around = np.zeros_like(seen)
+    around[:, errors] = growth[:, None] * ellipsoid.half_widths(initial.shape, initial.rho)
+    return np.asarray(moved + _most_in_box(task, nominal, beats, part, np.where(linear, 0.0, coefficients), around))
