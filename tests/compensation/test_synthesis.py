@@ -11,6 +11,7 @@ from aerotube.compensation import (
     boundary,
     design,
     exact_map,
+    gauge,
     law_program,
     limits,
     synthesise,
@@ -122,6 +123,36 @@ def test_limits_in_many_errors_are_those_at_every_corner(monkeypatch):
     np.testing.assert_allclose(found.bound, expected.bound, rtol=1e-6)
     scale = HALF_WIDTHS * np.array([1.0, 1e-5, 1.0, 1.0])[:, None]
     np.testing.assert_allclose(found.law.gains * scale, expected.law.gains * scale, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize(("which", "width", "words"), [
+    (0, 150.0, "at beat 0 the Mach number"),
+    (1, np.radians(15.0), "at beat 0 the angle of attack is 49"),
+])  # fmt: skip
+def test_disturbances_beyond_the_model_are_refused(which, width, words):
+    widths = HALF_WIDTHS.copy()
+    widths[which] = width
+    with pytest.raises(InputError, match=f"disturbance: .*{words}.* choose smaller disturbances"):
+        design(aircraft(), table2(BEATS), DisturbanceBox(widths, {"mass": 0.05}), SynthesisSettings())
+    nominal = table2(BEATS)
+    with pytest.raises(InputError, match=words):
+        gauge(aircraft(), nominal.states[0], nominal.controls[0], DisturbanceBox(widths, {"mass": 0.05}))
+
+
+def test_a_tube_that_would_hold_no_airspeed_is_refused():
+    """The box leaves 10 m/s, and a model without ranges does not mind."""
+
+    class Anywhere(type(aircraft())):
+        domain = ()
+
+        def domain_values(self, state):
+            return ()
+
+    plane, widths = Anywhere(), HALF_WIDTHS.copy()
+    nominal = constant_controls(plane, table2_state(), TABLE2_CONTROL, 0.05, BEATS)
+    widths[0] = 0.6 * np.linalg.norm(nominal.states[0, :3])
+    with pytest.raises(InputError, match=r"at beat \d the airspeed would be -"):
+        design(plane, nominal, DisturbanceBox(widths, {"mass": 0.05}), SynthesisSettings())
 
 
 def ends(made, index, error, sigma):

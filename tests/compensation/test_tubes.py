@@ -24,8 +24,9 @@ from aerotube.compensation import design as designed
 from aerotube.compensation.covers import sum_around
 from aerotube.compensation.sampled import FACTOR
 from aerotube.compensation.sets import initial_ellipsoid
+from aerotube.compensation.sizes import certified_size
 from aerotube.compensation.worst_points import Sampling, draw, support
-from aerotube.dynamics import ErrorCoordinates, beat_set, flown_map
+from aerotube.dynamics import ErrorCoordinates, beat_set, flown_map, rk4
 from aerotube.nominal import constant_controls
 from aerotube.tube import DisturbanceBox
 from tests.samples import BOX, HALF_WIDTHS, aircraft, table2
@@ -122,23 +123,31 @@ def test_measurement_errors_and_gusts_are_bounded_by_their_worst(settings):
 
 
 def test_where_the_largest_size_is_inside_the_ball_is_used():
-    """q+ = q + dt (s - 1) c (1 - b q^2): at the extremes of s far away for a small error, and not on the boundary."""
-    plane = Spinner(offset=20.0, bump=0.24)
+    """q' = (s - 1) c (1 - b q^2): at the extremes of s far away for a small error, and not on the boundary."""
+    offset, bump = 3.0, 0.24
+    plane = Spinner(offset=offset, bump=bump)
     tubes = measured(plane, POLYNOMIAL)
-    sigma = np.array([1.0 / 1.2, 1.0 / 0.8])
     z = np.linspace(-2.0, 2.0, 4001)
-    off = DT * (sigma[:, None] - 1.0) * 20.0 / WIDTHS[2]
-    end = z + off * (1.0 - 0.24 * z**2)
-    inside = (end**2 + 4.0 - z**2).max()
-    on_boundary = np.maximum(end**2, 0.0)[:, [0, -1]].max()
+
+    def worst(sigma):
+        end = rk4(lambda x: [(sigma - 1.0) * offset / WIDTHS[2] * (1.0 - bump * x[0] ** 2)], [z], DT)[0]
+        return end**2 + 4.0 - z**2
+
+    found = np.stack([worst(1.0 / 1.2), worst(1.0 / 0.8)])
+    inside, on_boundary = found.max(), found[:, [0, -1]].max()
     assert not tubes.boundary[0, 0]
     assert tubes.boundary[0, 1]
-    assert inside > 2.0 * on_boundary
-    assert tubes.polynomial_size[0, 0] >= inside * 0.98
+    assert inside > 1.3 * on_boundary
+    # the polynomial of degree 4 through the values is not the map itself
+    assert 0.98 * inside <= tubes.polynomial_size[0, 0] <= 1.2 * inside
     for settings in (SAMPLED, RIGOROUS):
         larger = measured(plane, settings)
         assert larger.size[0, 0] >= inside * (1 - 1e-6)
         assert not larger.boundary[0, 0]
+    metric = [tubes.metric[:, index] for index in range(2)]
+    box = DisturbanceBox(WIDTHS, {"mass": 0.2})
+    alone = certified_size(plane, spin(plane), box, no_law(), metric, POLYNOMIAL)
+    np.testing.assert_allclose(alone, tubes.polynomial_size, rtol=2e-4)
 
 
 def test_the_laplacian_of_a_polynomial_is_bounded_from_below():

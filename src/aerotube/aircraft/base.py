@@ -246,9 +246,10 @@ class Aircraft(ABC):
             values = self.domain_values(split(worst))
         for bounds, value in zip(self.domain, values, strict=True):
             if not bounds.low <= value <= bounds.high:
+                unit = f" {bounds.unit}" if bounds.unit else ""
                 return (
-                    f"{bounds.quantity} is {float(value):.6g} {bounds.unit}{where}, outside the range "
-                    f"{bounds.low:.6g} to {bounds.high:.6g} {bounds.unit} of the model of the aircraft {self.name}"
+                    f"{bounds.quantity} is {float(value):.6g}{unit}{where}, outside the range "
+                    f"{bounds.low:.6g} to {bounds.high:.6g}{unit} of the model of the aircraft {self.name}"
                 )
         return None
 

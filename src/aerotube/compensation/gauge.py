@@ -22,6 +22,7 @@ from aerotube.compensation.groundwork import (
     Groundwork,
     PartGround,
     available_increments,
+    check_reach,
     effort_weights,
     own_alone,
     taken,
@@ -121,8 +122,8 @@ def gauge(
     Raises
     ------
     InputError
-        If a condition is outside the aircraft's model or control limits, an array does not fit, or the settings look
-        beyond the beat: another shape, reuse, or limits of rate.
+        If a condition, or what disturbances make of it, is outside the aircraft's model or control limits, an array
+        does not fit, or the settings look beyond the beat: another shape, reuse, or limits of rate.
     """
     n = len(aircraft.state_names)
     states, controls = np.asarray(state, dtype=float), np.asarray(control, dtype=float)
@@ -202,6 +203,7 @@ def _local_ground(
     coordinates, vertices = ErrorCoordinates(settings.attitude), disturbance.parameter_vertices(aircraft)
     beats = np.arange(0, nominal.beats, 2)
     starts, count = nominal.states[beats], len(beats)
+    check_reach(aircraft, starts, coordinates, disturbance, settings)
     own = np.arange(nominal.beats) // 2  # a beat that joins two conditions gets what the first of them has
 
     sets = np.concatenate([[aircraft.parameter_nominal], vertices])

@@ -22,8 +22,16 @@ from aerotube.compensation.sets import InitialEllipsoid, initial_ellipsoid
 from aerotube.compensation.settings import Part, SynthesisSettings
 from aerotube.dynamics import ErrorCoordinates, Linearisation, error_map, taylor_map
 from aerotube.dynamics.error_kernels import moved_each
+from aerotube.errors import InputError
 from aerotube.nominal import Nominal
-from aerotube.tube import DisturbanceSet, parameter_ranges, riccati, tracking_weights
+from aerotube.tube import (
+    DisturbanceBox,
+    DisturbanceSet,
+    ellipsoid,
+    parameter_ranges,
+    riccati,
+    tracking_weights,
+)
 
 Array = NDArray[np.float64]
 Arrays = TypeVar("Arrays")
@@ -119,6 +127,7 @@ def groundwork(
             _made.move_to_end(key)
             return _made[key][1]
     nominal.check(aircraft)
+    check_reach(aircraft, nominal.states[:-1], ErrorCoordinates(settings.attitude), disturbance, settings)
     made = _make(aircraft, nominal, disturbance, settings)
     with _lock:
         _made[key] = aircraft, made  # kept alive with it, so that its id stays its own
@@ -343,8 +352,62 @@ def available_increments(
     lower, upper : ndarray (b, 4)
     """
     corners = np.array([*itertools.product((-1.0, 1.0), repeat=8), (0.0,) * 8])
-    errors = corners * reach[:, None]
-    relative = coordinates.kind == "relative"
-    around = moved_each(states, errors) if relative else coordinates.retract(states[:, None], errors)
+    around = _around(states, corners * reach[:, None], coordinates)
     lower, upper = aircraft.virtual_limits(around, np.broadcast_to(controls[:, None], (*around.shape[:2], 4)))
     return lower.max(1), upper.min(1)
+
+
+def _around(states: Array, errors: Array, coordinates: ErrorCoordinates) -> Array:
+    """States (b, u, n) at errors (b, u, 8) from nominal ones (b, n)."""
+    if coordinates.kind == "relative":
+        return np.asarray(moved_each(states, errors))
+    return coordinates.retract(states[:, None], errors)
+
+
+def check_reach(
+    aircraft: Aircraft,
+    states: Array,
+    coordinates: ErrorCoordinates,
+    disturbance: DisturbanceSet,
+    settings: SynthesisSettings,
+) -> None:
+    """Make sure that the aircraft's model has data where tubes begin.
+
+    Looked at are the ends of the axes of the initial ellipsoids, and the corners of a disturbance box.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+    states : ndarray (b, n)
+        Nominal states at the start of the beats.
+    coordinates : ErrorCoordinates
+    disturbance : DisturbanceSet
+    settings : SynthesisSettings
+
+    Raises
+    ------
+    InputError
+        If it has none there.
+    """
+    ends = np.zeros((len(states), 8))
+    for part in settings.parts:
+        initial = initial_ellipsoid(disturbance, coordinates, states, part)
+        ends[:, list(part.errors)] = ellipsoid.half_widths(initial.shape, initial.rho)
+    errors = np.concatenate([np.eye(8), -np.eye(8)]) * ends[:, None]
+    if isinstance(disturbance, DisturbanceBox):
+        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=8)))
+        errors = np.concatenate([errors, corners * coordinates.box(states, disturbance.half_widths)[:, None]], axis=1)
+    reached = _around(np.ascontiguousarray(states), errors, coordinates)
+    outside, missing = None, np.argwhere(~aircraft.in_domain(reached))
+    if len(missing):
+        beat, point = missing[0]
+        outside = f"at beat {beat} the {aircraft.domain_violation(reached[beat, point])}"
+    # an airspeed cannot be less than nothing: such an error would turn the aircraft round
+    speed = np.linalg.norm(states[:, :3], axis=1) - ends[:, 0]
+    if outside is None and (speed <= 0).any():
+        outside = f"at beat {int(np.argmin(speed))} the airspeed would be {speed.min():.4g} m/s"
+    if outside is not None:
+        raise InputError(
+            f"disturbance: the errors that tubes begin with, those of the ellipsoid around the disturbances, reach too "
+            f"far: {outside}; choose smaller disturbances or another nominal."
+        )

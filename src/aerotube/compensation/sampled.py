@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from aerotube.compensation.bounds import SHARES, Bound
 from aerotube.compensation.covers import sum_around
 from aerotube.compensation.settings import Part
-from aerotube.compensation.worst_points import QUICK, THOROUGH, USUAL, Mask, Search, sizes_of
+from aerotube.compensation.worst_points import QUICK, THOROUGH, Mask, Search, sizes_of
 from aerotube.dynamics import BeatSet
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def sizes(search: Search, parts: Sequence[Part], forms: Sequence[Array]) -> Arra
     """
     every = np.ones(search.size, dtype=bool)
     pairs = list(zip(parts, forms, strict=True))
-    found = search.together([search.task(part.errors, form, every) for part, form in pairs])
+    found = search.together([search.task(part.errors, form, every, search.usual) for part, form in pairs])
     moved = [point[:, None] * _off_extremes(search) for _, point in found]
     ends = np.split(search.fly(np.concatenate(moved, axis=1)), len(parts), axis=1)
     out = [
@@ -96,12 +96,13 @@ def bound(search: Search, part: Part, form: Array, polynomial: Array) -> Bound:
         elif free is None:
             continue
         else:
-            value, point = search.largest(own, form, free, USUAL if row == whole else QUICK)
+            value, point = search.largest(own, form, free, search.usual if row == whole else QUICK)
         sound &= np.isfinite(value)
         reached = np.where(sound, np.maximum(level, FACTOR * value), level)
         shares[:, row], level = reached - level, reached
     shape = _terminal_shape(search, own)
     found, _ = search.largest(own, shape, np.ones(search.size, dtype=bool), THOROUGH)
+    found = np.maximum(found, sizes_of(search.others[..., own], shape).max(axis=1))
     control = np.zeros(search.beats)
     holds = sound & np.isfinite(found)
     why = "a flight of its samples was not finite"

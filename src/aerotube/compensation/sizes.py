@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from aerotube import sos
 from aerotube.aircraft.base import Aircraft
-from aerotube.compensation import exact_map
+from aerotube.compensation import boundary, exact_map
 from aerotube.compensation.bounds import NONE
 from aerotube.compensation.certify import Work, sampled_sizes
 from aerotube.compensation.closed_loop import BatchLaw, end_errors
-from aerotube.compensation.polynomial import deficit
+from aerotube.compensation.polynomial import ball_size_structure, deficit, enough
 from aerotube.compensation.sets import initial_ellipsoid
-from aerotube.compensation.settings import SynthesisSettings
+from aerotube.compensation.settings import Part, SynthesisSettings
 from aerotube.dynamics import ErrorCoordinates
 from aerotube.nominal import Nominal
 from aerotube.tube import DisturbanceSet
@@ -53,13 +53,21 @@ def certified_size(
     sizes = []
     for part, shape in zip(settings.parts, metric, strict=True):
         initial = initial_ellipsoid(disturbance, coordinates, nominal.states[chosen], part)
-        nodes = exact_map.size_structure(len(part.errors), len(vertices), settings.degree).nodes("tube/0")
-        points = np.einsum("bij,uj->bui", initial.whitening, nodes)
-        end = end_errors(aircraft, nominal, chosen, coordinates, part, points, vertices, law)
-        structure = exact_map.size_structure(end.shape[3], end.shape[1], settings.degree)
-        problem, unit = exact_map.size_data(structure, end, shape)
+        n = len(part.errors)
+
+        def end(nodes: Array, part: Part = part, whitening: Array = initial.whitening) -> Array:
+            points = np.einsum("bij,uj->bui", whitening, nodes)
+            return end_errors(aircraft, nominal, chosen, coordinates, part, points, vertices, law)
+
+        inside, structure = end(boundary.nodes(n, settings.degree)), ball_size_structure
+        ends = inside
+        if enough(inside, shape, settings.degree).all():
+            structure = exact_map.size_structure
+            ends = end(structure(n, len(vertices), settings.degree).nodes("tube/0"))
+        compiled = structure(n, len(vertices), settings.degree)
+        problem, unit = exact_map.size_data(compiled, ends, shape)
         # less is asked of the solver: what it leaves, the certificate adds, and the size stays a bound
-        found = sos.solve(structure, problem, backend=settings.backend, workers=workers, tolerance=1e-4)
+        found = sos.solve(compiled, problem, backend=settings.backend, workers=workers, tolerance=1e-4)
         sizes.append((found["rho"] + 1.01 * np.maximum(deficit(found), 0.0) + 1e-14) * unit)
     return np.stack(sizes, axis=1)
 

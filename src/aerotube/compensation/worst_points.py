@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ Task = Generator[Array, Array, tuple[Array, Array]]
 
 _LOCAL = 0.05  # length of a finite difference
 _LOCAL_STEPS = 2
+_OTHERS = 1 << 32  # of seeds, which users count from zero
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,10 @@ class Effort:
     climbers: int
 
 
-#: For the shares, which only say how a bound is made up; for the bound; and for terminal ellipsoids.
-QUICK, USUAL, THOROUGH = Effort(4, 2, 6, 2, 0, 1), Effort(6, 3, 8, 8, 2, 1), Effort(20, 3, 16, 8, 2, 2)
+#: For the shares, which only say how a bound is made up; for the bound; for the bound in gusts, in which a map is bent
+#: where it is taken for straight; and for terminal ellipsoids.
+QUICK, USUAL = Effort(4, 2, 6, 2, 0, 1), Effort(6, 3, 8, 8, 2, 1)
+WINDY, THOROUGH = Effort(20, 3, 16, 16, 4, 4), Effort(20, 3, 16, 16, 6, 6)
 
 
 @dataclass(frozen=True)
@@ -141,6 +144,8 @@ class Search:
         The independent samples, the same for all beats.
     ends : ndarray (b, N, 8)
         Where they end.
+    usual : Effort
+        Of a search for a bound.
     """
 
     def __init__(self, fly: Callable[[Array], Array], over: BeatSet, sampling: Sampling) -> None:
@@ -151,7 +156,14 @@ class Search:
         self.ends = fly(np.broadcast_to(self.points, (self.beats, *self.points.shape)))
         self.sound = np.isfinite(self.ends).all(axis=(1, 2))
         self.curved = _curved(over.names, over.balls)
+        self.usual = USUAL if over.wind is None else WINDY
         self.centre, self.slopes, self.bends = self._fit()
+
+    @cached_property
+    def others(self) -> Array:
+        """Where as many other independent samples end: ndarray (b, N, 8)."""
+        points = draw(self.over.balls, len(self.points), self.seed + _OTHERS)
+        return self.fly(np.broadcast_to(points, (self.beats, *points.shape)))
 
     def _fit(self) -> tuple[Array, Array, Array]:
         """Quadratic maps through the samples by least squares: (b, 8), (b, 8, k) and symmetric (b, 8, kc, kc).
@@ -166,7 +178,7 @@ class Search:
         bends[:, :, rows, columns] = found[..., 1 + self.size :]
         return found[..., 0], found[..., 1 : 1 + self.size], bends + np.swapaxes(bends, 2, 3)
 
-    def largest(self, errors: Sequence[int], form: Array, free: Mask, effort: Effort = USUAL) -> tuple[Array, Array]:
+    def largest(self, errors: Sequence[int], form: Array, free: Mask, effort: Effort) -> tuple[Array, Array]:
         """Largest ``x' form x`` found with some of the variables free, the others zero.
 
         Parameters
@@ -198,7 +210,7 @@ class Search:
                     found.append(done.value)
         return found
 
-    def task(self, errors: Sequence[int], form: Array, free: Mask, effort: Effort = USUAL) -> Task:
+    def task(self, errors: Sequence[int], form: Array, free: Mask, effort: Effort) -> Task:
         """What :meth:`largest` does, as a task that asks for points (b, u, k) to be flown and is sent their ends."""
         own = list(errors)
         sizes = sizes_of(self.ends[..., own], form)
