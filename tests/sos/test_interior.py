@@ -1,6 +1,7 @@
 """The interior-point method: agreement with a second solver, optimality conditions, outcomes."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -238,3 +239,21 @@ def test_eight_states():
     dual -= np.sum(arrays["law"]["F0"] * solution.multipliers["law"])
     dual -= sum(0.5 * solution.multipliers[f"limit/{i}"][0] for i in range(4))
     assert dual == pytest.approx(float(solution.objective), rel=1e-6)
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_what_has_not_been_compiled_is_compiled_in_a_process_of_its_own(monkeypatch, tmp_path, together):
+    """And not again: this process loads what every other one will."""
+    asked = []
+    monkeypatch.setattr(interior.subprocess, "run", lambda command, **_: asked.append(command[-1]))
+    interior.fill_cache(together)
+    assert asked == []
+    interior._fill_cache(together)
+    assert asked == []
+    name = "close_step" if together else "through"
+    dispatcher = getattr(interior.run, name)
+    empty = SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path)), py_func=dispatcher.py_func)
+    monkeypatch.setattr(interior, "run", SimpleNamespace(**{name: empty}))
+    interior._fill_cache(together)
+    assert len(asked) == 1
+    assert f"fill_cache({together})" in asked[0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -9,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -218,6 +221,11 @@ def _compiled(together: bool, unhurried: bool) -> bool:
 
 def _compile(structure: Structure, lay: Layout, flat: Array, out: Array, together: bool) -> None:
     """Compile, or load what was compiled: no part of a solve's time, nor of its deadline."""
+    _fill_cache(together)
+    _compile_here(structure, lay, flat, out, together)
+
+
+def _compile_here(structure: Structure, lay: Layout, flat: Array, out: Array, together: bool) -> None:
     with _room(structure, lay) as state:
         for seconds in (np.inf, 0.0):
             _solve_one(lay, state, flat, out, _Limits(1e-7, seconds, 1), None, False)
@@ -225,6 +233,46 @@ def _compile(structure: Structure, lay: Layout, flat: Array, out: Array, togethe
             others = _Together(lay, 2)
             _solve_one(lay, state, flat, out, _Limits(1e-7, np.inf, 1), others, False)
             others.close()
+
+
+def _fill_cache(together: bool) -> None:
+    """Compile in a process of its own where nothing has been compiled yet, so that this one loads what others will.
+
+    What is compiled in a process is not quite what it would load: functions that were compiled by themselves, before
+    those that use them, take the place of the copies which were optimised along with these. Sums are then added up in
+    another order, and numbers differ in the last digits between the first run on a machine and all others.
+    """
+    asked = run.close_step if together else run.through
+    folder = asked.stats.cache_path
+    if folder is None or any(Path(folder).glob(f"*.{asked.py_func.__name__}-*.nbi")):
+        return
+    program = f"from aerotube.sos.backends import interior; interior.fill_cache({together})"
+    try:
+        subprocess.run([sys.executable, "-c", program], check=False, capture_output=True)
+    except OSError:  # then it is compiled here
+        return
+
+
+def fill_cache(together: bool) -> None:
+    """Compile what solves call, in the process that calls this, and leave it in the cache.
+
+    Parameters
+    ----------
+    together : bool
+        What solves with threads inside a program call, too.
+    """
+    from aerotube.sos.domain import Sphere
+    from aerotube.sos.program import Program
+
+    program = Program()
+    program.scalar("bound")
+    program.sos("above", Sphere(3), degree=2)
+    structure = program.compile()
+    count = len(structure.nodes("above"))
+    data = structure.data(objective=np.ones(1), constraints={"above": (np.zeros(count), np.ones((count, 1)))})
+    lay = layout(structure)
+    out = np.empty(run.NUMBERS + structure.size + int(lay.at[MATRICES]) + int(lay.at[VECTORS]))
+    _compile_here(structure, lay, flatten(data, lay)[0], out, together)
 
 
 class _SingleThreadedBlas:
