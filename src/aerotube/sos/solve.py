@@ -52,7 +52,9 @@ def solve(
         The numbers depend on it within the tolerance, not on `workers`: directions in which the objective is flat may
         come out otherwise, which is why laws are designed without.
     tolerance : float
-        Relative gap asked for; feasibility is asked to a tenth of it.
+        Gap asked for, over the larger of the objective and its bound (of a thousandth of what the data are scaled to,
+        where both are smaller); feasibility is asked to a tenth of it. An offset in the data counts: of a function
+        that varies little about a large value, the optimum is known to a share of the value.
     iterations : int
         Iterations allowed for each program.
 
