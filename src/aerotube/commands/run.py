@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -73,6 +72,7 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from aerotube.report.words import certificate_lines, change_words, containment_lines, margin_lines
     from aerotube.results import CONTROLLER_WORDS, KEY_SUFFIX
 
     console = Console(highlight=False)
@@ -82,10 +82,10 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     for condition in shown:
         table.add_column(condition, justify="right", no_wrap=True)
     for controller, words in CONTROLLER_WORDS.items():
-        table.add_row(words, *(_spread(summary[f"mean_upper_error{s}"][controller], 1.0, 3) for s in shown.values()))
+        table.add_row(words, *(_spread(summary[f"mean_upper_error{s}"][controller]) for s in shown.values()))
     table.add_section()
-    for key, words in (("reduction", "reduction (%)"), ("lqr_reduction", "reduction by LQR (%)")):
-        table.add_row(words, *(_spread(summary[f"{key}{s}"], 100.0, 1) for s in shown.values()))
+    for key, words in (("reduction", "change by compensation (%)"), ("lqr_reduction", "change by LQR (%)")):
+        table.add_row(words, *(change_words(summary[f"{key}{s}"]) for s in shown.values()))
     if shown:
         console.print(table)
     solve = summary["solve_ms"]
@@ -96,55 +96,22 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
             f"{solve['median']:.1f} ms (median), {solve['p99']:.1f} ms (99th percentile)",
             soft_wrap=True,
         )
-    for line in (*_margin_lines(summary), *_containment_lines(summary)):
+    for line in (*certificate_lines(summary), *margin_lines(summary), *containment_lines(summary)):
         console.print(line, soft_wrap=True)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
 
 
-def _margin_lines(summary: dict[str, Any]) -> Iterator[str]:
-    """The worst margins of every law over the beats, in words."""
-    from aerotube.report.assurance import delay_words, gain_words
-
-    for law, facts in summary["laws"].items():
-        margins = facts["margins"]
-        words = f"{law.replace('_', '-')} law, worst margins of the frozen loops: "
-        if margins is None:
-            continue
-        if margins["all"] is None:
-            yield words + "none, as no loop is stable by itself"
-            continue
-        single = {name: worst for name, worst in margins.items() if isinstance(worst, dict) and name != "all"}
-        name = min(single, key=lambda control: single[control]["disk"])
-        told = (f"{name} alone", single[name]), ("all controls at once", margins["all"])
-        words += "; ".join(
-            f"{which} gain {gain_words(worst['gain_db'])}, phase ±{worst['phase_deg']:.0f}° (beat {worst['at_beat']}), "
-            f"delay {delay_words(worst)}"
-            for which, worst in told
-        )
-        unstable = margins["unstable_beats"]
-        yield words + (f"; beats not stable by themselves: {unstable}" if unstable else "")
-
-
-def _containment_lines(summary: dict[str, Any]) -> Iterator[str]:
-    """How flights kept to their tubes, in words."""
-    for condition, found in summary["containment"].items():
-        beats, inside = found["beats"], found["started_inside"]
-        violations = ", ".join(f"{name} {count}" for name, count in found["violations"].items() if count) or "none"
-        reasons = ", ".join(f"{reason} {count}" for reason, count in found["outside"].items() if count)
-        yield (
-            f"{condition}: {100.0 * inside / max(beats, 1):.1f} % of {beats} beats started inside the sets of their "
-            f"tubes{f' (outside: {reasons})' if reasons else ''}; of these left their tube: {violations}"
-        )
-
-
-def _spread(value: dict[str, float | None], factor: float, digits: int) -> str:
+def _spread(value: dict[str, float | None]) -> str:
     if value["mean"] is None:
         return "–"
-    mean = f"{factor * value['mean']:.{digits}f}"
-    return mean if value["sd"] is None else f"{mean} ± {factor * value['sd']:.{digits}f}"
+    return f"{value['mean']:.3f}" if value["sd"] is None else f"{value['mean']:.3f} ± {value['sd']:.3f}"
 
 
 def _exit_code(summary: dict[str, Any], out: Path) -> int:
+    from aerotube.report.words import worse_lines
+
+    for line in worse_lines(summary):
+        typer.echo(f"aerotube: warning: {line}", err=True)
     problems = summary["problems"]
     for problem in problems[:10]:
         typer.echo(f"aerotube: {problem}", err=True)

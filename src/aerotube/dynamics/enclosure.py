@@ -273,9 +273,7 @@ def enclose_error_map(
             at = start if over.measurement is None else coordinates.retract_components(before, seen)
             limits = zip(law(seen), *aircraft.increment_limits(at, control), strict=True)
             increment = [np.minimum(np.maximum(move, low), high) for move, low, high in limits]
-        end = step_components(
-            aircraft, start, control, nominal.dt, parameters=sigma, wind=wind, increment=increment
-        )
+        end = step_components(aircraft, start, control, nominal.dt, parameters=sigma, wind=wind, increment=increment)
         final = coordinates.difference_components(end, [space.constant(x) for x in nominal.states[beats + 1].T])
     except ValueError as refusal:
         raise ComputationError(

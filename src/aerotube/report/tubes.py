@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from aerotube.report.style import COLOURS, Array, new_figure, tidy
+from aerotube.report.words import certificate_words
 from aerotube.results import CONTROLLER_WORDS
 from aerotube.units import DISPLAY
 
@@ -19,14 +19,6 @@ if TYPE_CHECKING:
 
 #: The pairs of the paper's four projections, (a) to (d).
 PAIRS = (("alpha", "q"), ("V", "theta"), ("beta", "r"), ("phi", "p"))
-
-CERTIFICATES = {
-    "solver's word": "the solver's own value, which failed the check",
-    "polynomial only": "checked for the polynomial model of the aircraft, which leaves a remainder out",
-    "sampled": "the remainder is bounded with a stated confidence from samples",
-    "rigorous": "the remainder is bounded rigorously",
-    "none": "no tube was found",
-}
 
 
 @dataclass(frozen=True)
@@ -98,24 +90,6 @@ def projection(dataset: xr.Dataset, law: str, pair: tuple[str, str]) -> Projecti
         initial=block("initial"),
         terminal=block("terminal"),
         nominal=block("nominal"),
-    )
-
-
-def certificate_words(counts: Mapping[str, int]) -> str:
-    """Say what the certificates of tubes are worth, from the number of each kind."""
-    total = sum(counts.values())
-    return "; ".join(
-        ("" if count == total else f"{count} of {total} tubes ") + f"{kind} ({CERTIFICATES[kind]})"
-        for kind, count in counts.items()
-    )
-
-
-def sampling_words(sampling: Mapping[str, float]) -> str:
-    """Say what samples are worth."""
-    return (
-        f"Sampled: with a confidence of {100 * sampling['confidence']:g} %, for each beat and part, at most "
-        f"{100 * sampling['share']:.2g} % of the set exceeds the tube, by the distribution of its "
-        f"{sampling['samples']:g} independent samples; searches from the worst of them have raised it further."
     )
 
 

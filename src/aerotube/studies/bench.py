@@ -9,7 +9,7 @@ from aerotube import compensation, flight, job, results, scenario
 from aerotube.compensation import Design, SynthesisSettings
 from aerotube.errors import ComputationError
 from aerotube.preparation import estimated_parameters, prepare
-from aerotube.results import CALM, ESTIMATOR, NOISE
+from aerotube.results import CALM, ESTIMATOR, NOISE, SETTING
 from aerotube.units import DISPLAY
 
 if TYPE_CHECKING:
@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 
 #: The conditions of flight, in the order of the tables.
 CONDITIONS = (CALM, NOISE, ESTIMATOR)
-
-#: The setting of the synthesis that is flown in each; the estimator takes the noise away.
-SETTING = {CALM: "noise_free", NOISE: "noise", ESTIMATOR: "noise_free"}
 
 #: Told what is being done and which share of a study is done.
 Tell = Callable[[str, float], None]
