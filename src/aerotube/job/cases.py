@@ -98,6 +98,7 @@ class Cases:
             self.prepared.draws,
             noise=noise,
             estimator=estimator,
+            substeps=self.chosen.flight.substeps,
             control_weights=self.chosen.lqr.control_weights,
             noise_weights=self.chosen.lqr.noise_weights,
             seeds=self.chosen.lqr.seeds,
