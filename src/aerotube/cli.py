@@ -10,7 +10,7 @@ import typer
 
 from aerotube import __version__
 from aerotube.commands.check import check
-from aerotube.commands.common import EPILOG, FAILED, FINE, INTERRUPTED, MISTAKE, Interrupted
+from aerotube.commands.common import EPILOG, FAILED, FINE, INTERRUPTED, MISTAKE, NOTHING, Interrupted
 from aerotube.commands.falsify import falsify
 from aerotube.commands.fly import fly
 from aerotube.commands.init import init
@@ -69,10 +69,13 @@ def app(arguments: Sequence[str] | None = None) -> NoReturn:
         code = _say(error, FAILED)
     except OSError as error:
         code = _say(f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", FAILED)
-    except (Interrupted, KeyboardInterrupt, typer.Abort):
-        code = _say("interrupted before the end; the files that are there are whole", INTERRUPTED)
+    except (Interrupted, KeyboardInterrupt, typer.Abort) as interruption:
+        code = _say(str(interruption) or NOTHING, INTERRUPTED)
     except usage_error as error:
-        code = _say(f"{error.format_message()} See: aerotube --help", MISTAKE)  # type: ignore[attr-defined]
+        context = getattr(error, "ctx", None)
+        command = "aerotube" if context is None else context.command_path
+        message = error.format_message()  # type: ignore[attr-defined]
+        code = _say(f"{message.rstrip('.')}; see: {command} --help", MISTAKE)
     sys.exit(code if isinstance(code, int) else FINE)
 
 

@@ -46,7 +46,7 @@ def run(
     """Fly a scenario with and without compensation, and with LQR, and write results and a report.
 
     Writes results.nc (all data, labelled), summary.json, figures/ and report.html to the out folder. The options
-    overrule the scenario file.
+    overrule the scenario file; what is not given is the scenario's (`aerotube init` shows the built-in one's values).
     """
     from aerotube import job
     from aerotube.scenario import load
@@ -60,8 +60,17 @@ def run(
         "nominal.horizon": None if horizon is None else f"{horizon!r} s",
         "synthesis.algorithm": algorithm,
     }
+    given = {key: value for key, value in asked.items() if value is not None}
+    typed = {
+        "draws.runs": f"--runs {runs}",
+        "draws.seeds": f"--seeds {seeds}",
+        "flight.noise": f"--noise {noise:g}" if noise is not None else "",
+        "flight.gusts": f"--gusts {gusts}",
+        "nominal.horizon": f"--horizon {horizon:g}" if horizon is not None else "",
+        "synthesis.algorithm": f"--algorithm {algorithm}",
+    }
     with interruptible(), progress() as tell:
-        source = load(scenario, {key: value for key, value in asked.items() if value is not None})
+        source = load(scenario, given, {key: words for key, words in typed.items() if key in given})
         summary = job.run(source, out, workers or os.cpu_count() or 1, tell, certificates)
     _print_summary(summary, out)
     raise typer.Exit(_exit_code(summary, out))

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from aerotube.commands.common import FAILED, FINE, INTERRUPTED, interruptible, progress
+from aerotube.commands.common import FAILED, FINE, INTERRUPTED, Interrupted, interruptible, progress
 from aerotube.studies import STUDIES
 
 
@@ -30,9 +30,12 @@ def study(
         done = job.run(names, out, runs=runs, seeds=seeds, workers=workers or os.cpu_count() or 1, progress=tell)
     for name, verdict in done.verdicts.items():
         typer.echo(f"{name} ({done.seconds[name]:.0f} s): {verdict}")
-    typer.echo(f"Report: {out / 'studies.html'}")
+    if done.verdicts or not done.interrupted:
+        typer.echo(f"Report: {out / 'studies.html'}")
     for problem in done.problems:
         typer.echo(f"aerotube: {problem}", err=True)
+    if done.interrupted and not done.verdicts:
+        raise Interrupted
     if done.interrupted:
         typer.echo(f"aerotube: interrupted; the studies that were finished are in {out}", err=True)
         raise typer.Exit(INTERRUPTED)

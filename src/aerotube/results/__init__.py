@@ -16,7 +16,7 @@ from aerotube.results.record import (
     Record,
 )
 from aerotube.results.summary import mean_upper_error, summarise
-from aerotube.results.writing import ensure_folder, whole_file, write_json, write_text
+from aerotube.results.writing import ensure_folder, out_folder, whole_file, write_json, write_text
 
 __all__ = [
     "CALM",
@@ -34,6 +34,7 @@ __all__ = [
     "build",
     "ensure_folder",
     "mean_upper_error",
+    "out_folder",
     "provenance",
     "read",
     "summarise",

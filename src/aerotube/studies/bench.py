@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 #: The conditions of flight, in the order of the tables.
 CONDITIONS = (CALM, NOISE, ESTIMATOR)
 
+# Of a study that needs the main job, the share of time that this takes.
+_MAIN = 0.6
+
 #: Told what is being done and which share of a study is done.
 Tell = Callable[[str, float], None]
 
@@ -85,7 +88,7 @@ class Bench:
         """
         if self._results is None:
             record = job.new_record(self.prepared)
-            job.compute(self.prepared, record, self.workers, self.tell)
+            job.compute(self.prepared, record, self.workers, lambda words, share: self.tell(words, _MAIN * share))
             if record.problems:
                 raise ComputationError(f"the main job has failures, the first: {record.problems[0]}")
             self._results = results.build(record)
