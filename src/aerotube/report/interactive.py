@@ -74,7 +74,7 @@ def tubes_html(dataset: xr.Dataset, law: str) -> str:
             "zaxis": {"title": {"text": DISPLAY[pair[1]].label}},
             "aspectmode": "manual",
             "aspectratio": {"x": 1.7, "y": 1.0, "z": 1.0},
-            "camera": {"eye": {"x": 0.95, "y": -1.75, "z": 0.65}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}},
+            "camera": {"eye": {"x": 1.1, "y": -2.05, "z": 0.8}, "center": {"x": 0.0, "y": 0.0, "z": -0.1}},
         }
     figure.update_layout(
         height=820,

@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 PAIRS = (("alpha", "q"), ("V", "theta"), ("beta", "r"), ("phi", "p"))
 
 
+HOW_TO_READ = (
+    "A beat starts from an ellipsoid around the disturbance set (around a box of n errors up to √n times as wide). The "
+    "law makes the size in the metric of cost small: half-widths of single errors may grow while that size shrinks."
+)
+
+
 @dataclass(frozen=True)
 class Projection:
     """A tube projected on two states, in the units in which they are shown.
@@ -125,6 +131,7 @@ def tubes_figure(dataset: xr.Dataset, law: str) -> Figure | None:
             _draw_extent(axes, tube, column, name)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=3, fontsize=10, frameon=False)
+    figure.text(0.5, 0.045, HOW_TO_READ, ha="center", fontsize=9, color="#555555")
     return figure
 
 
