@@ -10,6 +10,8 @@ from typing import Any
 from aerotube import __version__
 from aerotube.report.template import fill, picture
 
+_ROUNDING = 1e-9  # what is smaller is shown as zero
+
 
 def build_page(finished: Sequence[Mapping[str, Any]], folder: Path) -> str:
     """Build the page.
@@ -90,7 +92,9 @@ def _with_spread(row: Mapping[str, Any]) -> str:
 def _number(value: float | None, digits: int = 3) -> str:
     if value is None:
         return "–"
-    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
+    if abs(value) < _ROUNDING:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
         places = max(0, digits - 1 - _magnitude(value))
         return f"{value:.{places}f}"
     return f"{value:.{digits - 1}e}"
