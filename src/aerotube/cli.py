@@ -10,7 +10,7 @@ import typer
 
 from aerotube import __version__
 from aerotube.commands.check import check
-from aerotube.commands.common import EPILOG, FAILED, FINE, INTERRUPTED, MISTAKE, NOTHING, Interrupted
+from aerotube.commands.common import EPILOG, FAILED, FINE, INTERRUPTED, MISTAKE, Interrupted
 from aerotube.commands.falsify import falsify
 from aerotube.commands.fly import fly
 from aerotube.commands.init import init
@@ -63,6 +63,8 @@ def app(arguments: Sequence[str] | None = None) -> NoReturn:
     usage_error = cast("type[Exception]", typer.BadParameter.__mro__[2])
     try:
         code = cli(args=arguments, standalone_mode=False, prog_name="aerotube")
+        if code == INTERRUPTED:  # between the commands' own parts, where the library swallows it
+            code = _say("interrupted; the files that are there are whole", INTERRUPTED)
     except InputError as error:
         code = _say(error, MISTAKE)
     except ComputationError as error:
@@ -70,7 +72,7 @@ def app(arguments: Sequence[str] | None = None) -> NoReturn:
     except OSError as error:
         code = _say(f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", FAILED)
     except (Interrupted, KeyboardInterrupt, typer.Abort) as interruption:
-        code = _say(str(interruption) or NOTHING, INTERRUPTED)
+        code = _say(str(interruption) or "interrupted; the files that are there are whole", INTERRUPTED)
     except usage_error as error:
         context = getattr(error, "ctx", None)
         command = "aerotube" if context is None else context.command_path

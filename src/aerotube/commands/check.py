@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from aerotube.commands.common import FAILED, FINE, interruptible
+from aerotube.commands.common import FAILED, FINE, NOTHING, interruptible
 from aerotube.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def check(
     Example: aerotube check out/certificates
     """
     sound = total = 0
-    with interruptible():
+    with interruptible(NOTHING):
         alone = len(files) == 1 and not files[0].is_dir()
         for file in _certificates(files):
             found = _checked(file)

@@ -25,12 +25,12 @@ class Interrupted(Exception):
 
 
 @contextmanager
-def interruptible() -> Iterator[None]:
-    """Let Ctrl-C leave under a name of its own."""
+def interruptible(words: str = "interrupted before the end; the files that are there are whole") -> Iterator[None]:
+    """Let Ctrl-C leave under a name of its own, with its own sentence or else this one."""
     try:
         yield
     except KeyboardInterrupt as interruption:
-        raise Interrupted(*interruption.args) from None
+        raise Interrupted(*(interruption.args or (words,))) from None
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from aerotube.commands.common import FAILED, FINE, INTERRUPTED, interruptible, progress
+from aerotube.commands.common import FAILED, FINE, NOTHING, Interrupted, interruptible, progress
 from aerotube.errors import InputError
 
 if TYPE_CHECKING:
@@ -46,12 +46,12 @@ def falsify(
     polynomials only, with the errors of their own half. Writes falsification.json, falsification.nc and a figure.
     Exit code 1: a tube that promises more than its polynomials is broken. A million points a tube take a few minutes.
     """
-    from aerotube.preparation import prepare
-    from aerotube.results import out_folder
-    from aerotube.scenario import load
-
     threads = workers or os.cpu_count() or 1
-    with interruptible(), progress() as tell:
+    with interruptible(NOTHING), progress() as tell:
+        from aerotube.preparation import prepare
+        from aerotube.results import out_folder
+        from aerotube.scenario import load
+
         source = load(scenario, {})
         prepared = prepare(source)
         chosen = parse_beats(beats, prepared.nominal.beats)
@@ -66,12 +66,16 @@ def falsify(
             attacks, interrupted = _attacked(prepared, settings, options, tell)
             if not attacks:
                 raise KeyboardInterrupt
-            _save(attacks, source, target)
+            try:
+                _save(attacks, source, target)
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"interrupted while writing; in {folder} some files are new and whole, the others missing or older"
+                ) from None
         tell("done", 1.0)
     _print(attacks, folder)
     if interrupted:
-        typer.echo(f"aerotube: interrupted; what was finished is in {folder}", err=True)
-        raise typer.Exit(INTERRUPTED)
+        raise Interrupted(f"interrupted; what was finished is in {folder}")
     raise typer.Exit(FAILED if any(attack.refuted.any() for attack in attacks.values()) else FINE)
 
 

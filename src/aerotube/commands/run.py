@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from aerotube.commands.common import FAILED, FINE, INTERRUPTED, interruptible, progress
+from aerotube.commands.common import FAILED, FINE, NOTHING, Interrupted, interruptible, progress
 
 
 def run(
@@ -48,9 +48,6 @@ def run(
     Writes results.nc (all data, labelled), summary.json, figures/ and report.html to the out folder. The options
     overrule the scenario file; what is not given is the scenario's (`aerotube init` shows the built-in one's values).
     """
-    from aerotube import job
-    from aerotube.scenario import load
-
     asked: dict[str, Any] = {
         "draws.runs": runs,
         "draws.seeds": seeds,
@@ -69,7 +66,10 @@ def run(
         "nominal.horizon": f"--horizon {horizon:g}" if horizon is not None else "",
         "synthesis.algorithm": f"--algorithm {algorithm}",
     }
-    with interruptible(), progress() as tell:
+    with interruptible(NOTHING), progress() as tell:
+        from aerotube import job
+        from aerotube.scenario import load
+
         source = load(scenario, given, {key: words for key, words in typed.items() if key in given})
         summary = job.run(source, out, workers or os.cpu_count() or 1, tell, certificates)
     _print_summary(summary, out)
@@ -100,7 +100,7 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     solve = summary["solve_ms"]
     if solve["median"] is not None:
         console.print(
-            f"{summary['seeds']} seeds of {summary['runs_per_seed']} runs, {summary['horizon_s']:g} s; "
+            f"{summary['seeds']} seed(s) of {summary['runs_per_seed']} run(s), {summary['horizon_s']:g} s; "
             f"{summary['feasible_beats']} of {summary['beats']} beats feasible; one program takes "
             f"{solve['median']:.1f} ms (median), {solve['p99']:.1f} ms (99th percentile)",
             soft_wrap=True,
@@ -127,6 +127,5 @@ def _exit_code(summary: dict[str, Any], out: Path) -> int:
     if len(problems) > 10:
         typer.echo(f"aerotube: and {len(problems) - 10} more failures; all are in {out / 'summary.json'}", err=True)
     if summary["interrupted"]:
-        typer.echo(f"aerotube: interrupted; the parts that were finished are in {out}", err=True)
-        return INTERRUPTED
+        raise Interrupted(f"interrupted; the parts that were finished are in {out}")
     return FAILED if problems else FINE

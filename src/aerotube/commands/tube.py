@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from aerotube.commands.common import FAILED, FINE, interruptible
+from aerotube.commands.common import FAILED, FINE, NOTHING, interruptible
 from aerotube.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,10 +57,10 @@ def tube(
 
     Example: aerotube tube --time 1.5 --state "V=200 m/s" --disturbance "mass=10 %" --gains
     """
-    from aerotube.preparation import prepare
-    from aerotube.scenario import load
+    with interruptible(NOTHING):
+        from aerotube.preparation import prepare
+        from aerotube.scenario import load
 
-    with interruptible():
         changes = {f"disturbance.{key}": value for key, value in _pairs(disturbance, "--disturbance").items()}
         source = load(scenario, changes)
         if figure is not None:

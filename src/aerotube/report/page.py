@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from aerotube.report import assurance, interactive
 from aerotube.report.style import flown
 from aerotube.report.template import fill, picture
-from aerotube.report.tubes import HOW_TO_READ
 from aerotube.report.words import CERTIFICATES, certificate_words, change_words, sampling_words, worse_lines
 from aerotube.results import CALM, CONDITION_WORDS, CONTROLLER_WORDS, ESTIMATOR, KEY_SUFFIX, NOISE
 
@@ -187,11 +186,7 @@ def _tubes(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str
         f"<details><summary>Settings of the synthesis</summary><ul>{chosen}</ul></details>"
         f"{_beyond(summary, figures)}"
         f"{interactive.tubes_html(dataset, first)}"
-        + _picture(
-            figures,
-            "fig8_tubes",
-            f"Tubes and their half-widths over time (counterpart of the paper's Fig. 8). {HOW_TO_READ}",
-        )
+        + _picture(figures, "fig8_tubes", "Tubes and their half-widths over time (counterpart of the paper's Fig. 8).")
     )
 
 

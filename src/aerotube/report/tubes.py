@@ -121,7 +121,7 @@ def tubes_figure(dataset: xr.Dataset, law: str) -> Figure | None:
         f"({law.replace('_', '-')} law)\ncertificate: {certificate_words(counts)}"
     )
     figure = new_figure(16, 10, title)
-    grid = figure.add_gridspec(4, 2, left=0.63, right=0.99, bottom=0.09, top=0.9, hspace=0.5, wspace=0.34)
+    grid = figure.add_gridspec(4, 2, left=0.63, right=0.99, bottom=0.12, top=0.9, hspace=0.52, wspace=0.34)
     for number, pair in enumerate(PAIRS):
         tube = projection(dataset, law, pair)
         corner = (0.283 * (number % 2), 0.5 - 0.45 * (number // 2), 0.265, 0.39)
@@ -131,7 +131,7 @@ def tubes_figure(dataset: xr.Dataset, law: str) -> Figure | None:
             _draw_extent(axes, tube, column, name)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=3, fontsize=10, frameon=False)
-    figure.text(0.5, 0.045, HOW_TO_READ, ha="center", fontsize=9, color="#555555")
+    figure.text(0.5, 0.04, HOW_TO_READ, ha="center", fontsize=9, color="#555555")
     return figure
 
 

@@ -109,8 +109,14 @@ def run(
     bench = Bench(runs, seeds, workers)
     with results.out_folder(folder) as target:
         done = _all(wanted, bench, target, progress)
-        if done.verdicts or not done.interrupted:
-            gather(target)
+        try:
+            if done.verdicts or not done.interrupted:
+                gather(target)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"interrupted while writing; the finished studies are in {folder}, and `aerotube study` gathers them "
+                "when it is run there again"
+            ) from None
     return done
 
 
