@@ -69,8 +69,8 @@ def test_tubes_that_promise_nothing_say_why(summary):
 
 
 def test_compensation_that_does_harm_is_told(summary):
-    [line] = words.worse_lines(summary)
-    assert "34 deg in place of 1.2" in line
-    assert "mean-square = 0.1" in line
+    line = words.worse_words(summary)
+    assert "34 deg in place of 1.2 (no sensor noise);" in line
+    assert "mean-square = 1.0" in line
     summary["mean_upper_error"]["compensated"]["mean"] = 0.3
-    assert not list(words.worse_lines(summary))
+    assert not words.worse_words(summary)

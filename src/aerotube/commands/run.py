@@ -93,7 +93,7 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     for controller, words in CONTROLLER_WORDS.items():
         table.add_row(words, *(_spread(summary[f"mean_upper_error{s}"][controller]) for s in shown.values()))
     table.add_section()
-    for key, words in (("reduction", "change by compensation (%)"), ("lqr_reduction", "change by LQR (%)")):
+    for key, words in (("reduction", "change (%)"), ("lqr_reduction", "change by LQR (%)")):
         table.add_row(words, *(change_words(summary[f"{key}{s}"]) for s in shown.values()))
     if shown:
         console.print(table)
@@ -117,10 +117,11 @@ def _spread(value: dict[str, float | None]) -> str:
 
 
 def _exit_code(summary: dict[str, Any], out: Path) -> int:
-    from aerotube.report.words import worse_lines
+    from aerotube.report.words import worse_words
 
-    for line in worse_lines(summary):
-        typer.echo(f"aerotube: warning: {line}", err=True)
+    worse = worse_words(summary)
+    if worse:
+        typer.echo(f"aerotube: warning: {worse}", err=True)
     problems = summary["problems"]
     for problem in problems[:10]:
         typer.echo(f"aerotube: {problem}", err=True)

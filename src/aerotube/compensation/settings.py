@@ -63,7 +63,7 @@ class SynthesisSettings:
         What is made small: the mean square of the errors to be expected at the end of the beat (see
         :mod:`aerotube.compensation.law_program`), or the least ``rho`` that holds the worst error; or
         the trace of the inverse shape or the volume of the terminal ellipsoid, found together with the law; or a
-        mixture, ``{"worst-case": 1.0, "mean-square": 0.1}``. The worst case alone leaves the law free in all
+        mixture, ``{"worst-case": 0.1, "mean-square": 1.0}``. The worst case alone leaves the law free in all
         directions but the worst: it is good for one beat, and flown on it may diverge. Use the mixture.
     shape : {"cost-to-go", "riccati"}
         The metric in which the error at the end of a beat is measured, see :mod:`aerotube.tube.shapes`.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from aerotube.report import assurance, interactive
 from aerotube.report.style import flown
 from aerotube.report.template import fill, picture
-from aerotube.report.words import CERTIFICATES, certificate_words, change_words, sampling_words, worse_lines
+from aerotube.report.words import CERTIFICATES, certificate_words, change_words, sampling_words, worse_words
 from aerotube.results import CALM, CONDITION_WORDS, CONTROLLER_WORDS, ESTIMATOR, KEY_SUFFIX, NOISE
 
 if TYPE_CHECKING:
@@ -67,8 +67,8 @@ def _number(spread: Mapping[str, float | None], digits: int = 3) -> str:
 
 def _notice(summary: Mapping[str, Any]) -> str:
     problems = summary["problems"]
-    words = list(worse_lines(summary))
-    words = [f"{line[:1].upper()}{line[1:]}." for line in words]
+    worse = worse_words(summary)
+    words = [f"{worse[:1].upper()}{worse[1:]}."] if worse else []
     if not problems and summary["complete"] and not words:
         return ""
     if summary["interrupted"]:
@@ -90,9 +90,10 @@ def _cards(summary: Mapping[str, Any]) -> str:
         if reduction["mean"] is None:
             continue
         errors = summary[f"mean_upper_error{suffix}"]
+        worse = " none" if reduction["mean"] < 0 else ""
         cards.append(
             f'<div class="card"><div class="what">Mean upper error, {CONDITION_WORDS[condition]}</div>'
-            f'<div class="number">{change_words(reduction | {"sd": None}, " %")}</div>'
+            f'<div class="number{worse}">{change_words(reduction | {"sd": None}, " %")}</div>'
             f'<div class="how">{errors["none"]["mean"]:.3f} → {errors["compensated"]["mean"]:.3f}; '
             f"LQR {_number(errors['lqr']).split(' ')[0]}</div></div>"
         )

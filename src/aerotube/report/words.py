@@ -136,21 +136,23 @@ def certificate_lines(summary: Mapping[str, Any]) -> Iterator[str]:
         yield f"{law.replace('_', '-')} law, its tubes are {certificate_words(facts['certificate'])}"
 
 
-def worse_lines(summary: Mapping[str, Any]) -> Iterator[str]:
-    """A sentence for each condition in which compensation flies worse than the nominal controls alone."""
+def worse_words(summary: Mapping[str, Any]) -> str:
+    """That compensation flies worse than the nominal controls alone, where it does, and what to do; empty elsewhere."""
+    told, sizes = [], set()
     for condition, suffix in KEY_SUFFIX.items():
         errors = {name: one["mean"] for name, one in summary[f"mean_upper_error{suffix}"].items()}
         alone, law = errors.get("none"), errors.get("compensated")
-        if alone is None or law is None or law <= alone:
-            continue
-        size = summary["laws"].get(SETTING[condition], {}).get("settings", {}).get("size")
-        cure = (
-            'size = "worst-case" leaves the law free in all directions but the worst; mix in some of the mean square, '
-            "such as size = {worst-case = 1.0, mean-square = 0.1}"
-            if size == "worst-case"
-            else "look at the law's settings before you use it"
-        )
-        yield (
-            f"{CONDITION_WORDS[condition]}: compensation flies worse than the nominal controls alone, with a mean "
-            f"upper error of {law:.3g} deg in place of {alone:.3g}; {cure}"
-        )
+        if alone is not None and law is not None and law > alone:
+            told.append(f"{law:.3g} deg in place of {alone:.3g} ({CONDITION_WORDS[condition]})")
+            sizes.add(str(summary["laws"].get(SETTING[condition], {}).get("settings", {}).get("size")))
+    if not told:
+        return ""
+    cure = (
+        "the size worst-case leaves the law free in all directions but the worst; let the mean square weigh more, "
+        "such as size = {worst-case = 0.1, mean-square = 1.0}"
+        if any("worst-case" in size for size in sizes)
+        else "change the law's settings before you use it"
+    )
+    return (
+        f"compensation flies worse than the nominal controls alone, with mean upper errors of {', '.join(told)}; {cure}"
+    )

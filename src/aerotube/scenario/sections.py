@@ -200,7 +200,7 @@ def _size(value: Any) -> Any:
         names = ", ".join(f'"{name}"' for name in _SIZES)
         raise ValueError(
             f"expected one of {names}, or a mixture with positive weights such as "
-            f"{{worst-case = 1.0, mean-square = 0.1}}, not {shown(value)}"
+            f"{{worst-case = 0.1, mean-square = 1.0}}, not {shown(value)}"
         )
     return value
 
