@@ -324,8 +324,6 @@ def test_what_is_compiled_is_known_by_the_compilers_own_files(tmp_path, monkeypa
 def test_a_first_run_says_that_it_compiles(capsys, monkeypatch):
     monkeypatch.setattr("aerotube.commands.common.compiled", lambda: False)
     with progress() as tell:
-        tell("laws", 0.0)
-        tell("flights", 0.5)
-    first, second = capsys.readouterr().err.splitlines()
-    assert "compiling" in first
-    assert "compiling" not in second
+        for words in ("tubes", "tubes: laws", "tubes: flights"):
+            tell(words, 0.0)
+    assert ["compiling" in line for line in capsys.readouterr().err.splitlines()] == [True, True, False]

@@ -39,12 +39,14 @@ def progress() -> Iterator[Callable[[str, float], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    first: list[str] = []
+    first = ""
 
     def told(words: str) -> str:
-        # Code that was never run is compiled in the first part of the work.
-        first.append(words)
-        return f"{words} (compiling code first, once)" if cold and words == first[0] else words
+        # Code that was never run is compiled in the first part of the work, or the first part of that.
+        nonlocal first
+        if not first or words.startswith(f"{first}: "):
+            first = words
+        return f"{words} (compiling code first, once)" if cold and words == first else words
 
     console, cold = Console(stderr=True), not compiled()
     if not console.is_terminal:
