@@ -152,8 +152,8 @@ def test_numbers_beside_the_papers():
     row = compare("a", "a", 0.5, [0.2, 0.3])
     assert (row.ours, row.ratio) == pytest.approx((0.25, 0.5))
     assert row.ours_sd == pytest.approx(np.sqrt(0.005))
-    assert row.verdict == "below the paper's"
-    assert [_number(value) for value in (2.78e-11, 0.0, 0.25, -2e-4)] == ["0", "0", "0.250", "-2.00e-04"]
+    assert row.verdict == "smaller than the paper's"
+    assert [_number(value) for value in (2.78e-11, 0.0, 0.25, -2e-4)] == ["0", "0", "0.250", "-0.000200"]
     assert compare("a", "a", None, 1.0).ratio is None
     assert compare("a", "a", 1.0, [1.0, np.nan]).verdict == "not reached"
     assert spread([1.0, 3.0], 1) == "2.0 ± 1.4"

@@ -142,4 +142,4 @@ def _default_verdict(row: Compared) -> str:
         return "the paper gives no number"
     if abs(row.ratio - 1.0) < 5e-3:
         return "as the paper's"
-    return f"{'below' if row.ratio < 1.0 else 'above'} the paper's"
+    return f"{'smaller' if row.ratio < 1.0 else 'larger'} than the paper's"

@@ -99,7 +99,7 @@ def _number(value: float | None, digits: int = 3) -> str:
         return "–"
     if abs(value) < _ROUNDING:
         return "0"
-    if 1e-3 <= abs(value) < 1e5:
+    if 1e-5 <= abs(value) < 1e5:
         places = max(0, digits - 1 - _magnitude(value))
         return f"{value:.{places}f}"
     return f"{value:.{digits - 1}e}"
