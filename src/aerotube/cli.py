@@ -63,16 +63,21 @@ def app(arguments: Sequence[str] | None = None) -> NoReturn:
     usage_error = cast("type[Exception]", typer.BadParameter.__mro__[2])
     try:
         code = cli(args=arguments, standalone_mode=False, prog_name="aerotube")
+        if code == INTERRUPTED:  # between the commands' own parts, where the library swallows it
+            code = _say("interrupted; the files that are there are whole", INTERRUPTED)
     except InputError as error:
         code = _say(error, MISTAKE)
     except ComputationError as error:
         code = _say(error, FAILED)
     except OSError as error:
         code = _say(f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", FAILED)
-    except (Interrupted, KeyboardInterrupt, typer.Abort):
-        code = _say("interrupted before the end; the files that are there are whole", INTERRUPTED)
+    except (Interrupted, KeyboardInterrupt, typer.Abort) as interruption:
+        code = _say(str(interruption) or "interrupted; the files that are there are whole", INTERRUPTED)
     except usage_error as error:
-        code = _say(f"{error.format_message()} See: aerotube --help", MISTAKE)  # type: ignore[attr-defined]
+        context = getattr(error, "ctx", None)
+        command = "aerotube" if context is None else context.command_path
+        message = error.format_message()  # type: ignore[attr-defined]
+        code = _say(f"{message.rstrip('.')}; see: {command} --help", MISTAKE)
     sys.exit(code if isinstance(code, int) else FINE)
 
 

@@ -99,6 +99,7 @@ def prepare(source: scenario.Source) -> Prepared:
         relative,
         matrix=chosen.disturbance.matrix,
         inequalities=chosen.disturbance.terms,
+        texts=chosen.disturbance.inequalities or (),
     )
     draws = flight.draw(
         errors.half_widths,
@@ -107,6 +108,13 @@ def prepare(source: scenario.Source) -> Prepared:
         initial=None if chosen.disturbance.set == "box" else errors.sample,
         **drawn_parameters(chosen.disturbance, rigid),
     )
+    for key in SETTINGS:
+        reuse = chosen.synthesis.setting(key).get("reuse", 0)
+        if reuse >= reference.beats:
+            raise InputError(
+                f"synthesis.reuse is {reuse}: a law would be used again for {reuse} beats after its own, and the "
+                f"nominal has {reference.beats} in all; choose at most {reference.beats - 1}"
+            )
     settings: dict[str, compensation.SynthesisSettings] = {
         key: compensation.SynthesisSettings(**chosen.synthesis.setting(key)) for key in SETTINGS
     }

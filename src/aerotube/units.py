@@ -20,6 +20,7 @@ UNITS: dict[str, dict[str, float]] = {
     "length": {"m": 1.0, "km": 1000.0, "ft": _FOOT},
     "time": {"s": 1.0, "ms": 1e-3},
     "ratio": {"%": 0.01},
+    "rate of thrust": {"N/s": 1.0, "kN/s": 1000.0, "lbf/s": 4.4482216152605},
     "angular momentum": {"kg m^2/s": 1.0, "slug ft^2/s": _SLUG_FOOT2},
 }
 
@@ -49,16 +50,22 @@ def parse_quantity(value: Any, kind: str) -> float:
     units = UNITS[kind]
     choice = " or ".join(units)
     example = next(iter(units))
+
+    def meant(number: float | str) -> str:
+        # What is one at most was given as a share, of which a percent would be a hundredth.
+        share = kind == "ratio" and abs(float(number)) <= 1.0
+        return f"{100.0 * float(number):g} {example}" if share else f"{number} {example}"
+
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         raise ValueError(f"{str(value).lower()} is no {kind}; write a number with its unit ({choice}) in quotes")
     if not isinstance(value, str):
-        raise ValueError(f'{value} has no unit; write it with one, in quotes, such as "{value} {example}"')
+        raise ValueError(f'{value} has no unit; write it with one, in quotes, such as "{meant(value)}"')
     match = _QUANTITY.fullmatch(value)
     if match is None:
         raise ValueError(f'"{value}" is no {kind}; write a number with its unit ({choice})')
     number, unit = match.groups()
     if unit is None:
-        raise ValueError(f'"{value}" has no unit; write it with one, such as "{number} {example}"')
+        raise ValueError(f'"{value}" has no unit; write it with one, such as "{meant(number)}"')
     if unit not in units:
         raise ValueError(f'"{unit}" is no unit of {kind}; use {choice}')
     result = float(number) * units[unit]

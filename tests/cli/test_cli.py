@@ -7,7 +7,9 @@ import pytest
 
 from aerotube import compensation, flight, results, scenario
 from aerotube.cli import app
+from aerotube.commands.common import compiled, progress
 from aerotube.errors import ComputationError
+from aerotube.preparation import prepare
 from aerotube.results import CALM
 
 SMALL = ["--horizon", "0.1", "--runs", "3", "--seeds", "2"]
@@ -84,8 +86,9 @@ MISTAKES = {
     "option out of range": (TEXT, ["--runs", "0"], "draws.runs"),
     "option of the wrong type": (TEXT, ["--runs", "many"], "--runs"),
     "unknown choice": (TEXT, ["--algorithm", "magic"], "decoupled"),
-    "negative noise": (TEXT, ["--noise", "-1"], "flight.noise"),
-    "unknown option": (TEXT, ["--fast"], "--fast"),
+    "negative noise": (TEXT, ["--noise", "-1"], "--noise -1: flight.noise"),
+    "no horizon": (TEXT, ["--horizon", "0"], "--horizon 0: nominal.horizon"),
+    "unknown option": (TEXT, ["--fast"], "; see: aerotube run --help"),
     "missing nominal file": (
         TEXT[: TEXT.index("[nominal.state]")].replace('"constant-controls"', '"file"\nfile = "gone.csv"', 1)
         + TEXT[TEXT.index("[disturbance]") :],
@@ -239,6 +242,19 @@ def test_an_interruption_keeps_what_was_finished(capsys, tmp_path, quick, monkey
     assert int(dataset["flown"].sum()) == 1
 
 
+@pytest.mark.parametrize("where", ["aerotube.preparation.prepare", "aerotube.compensation.synthesise"])
+def test_an_interruption_before_anything_is_finished_leaves_nothing(capsys, tmp_path, monkeypatch, where):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(where, interrupted)
+    monkeypatch.setattr("aerotube.job.prepare", interrupted if where.endswith("prepare") else prepare)
+    code, _, errors = aerotube(capsys, "run", *SMALL, "--out", tmp_path / "a" / "out")
+    assert code == 130
+    assert errors.splitlines()[-1] == "aerotube: interrupted before anything was finished; nothing was written"
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_interruption_while_writing_leaves_whole_files(capsys, tmp_path, quick, monkeypatch):
     quick(ComputationError("no laws here"))
 
@@ -248,7 +264,7 @@ def test_an_interruption_while_writing_leaves_whole_files(capsys, tmp_path, quic
     monkeypatch.setattr("aerotube.report.write", interrupted)
     code, _, errors = aerotube(capsys, "run", *SMALL, "--noise", "0", "--out", tmp_path)
     assert code == 130
-    assert "interrupted" in errors
+    assert "interrupted while writing" in errors
     assert {path.name for path in tmp_path.iterdir()} == {"results.nc", "summary.json"}
 
 
@@ -267,7 +283,11 @@ def test_certificates_of_a_run_are_checked_offline(capsys, tmp_path):
     ]
     code, out, _ = aerotube(capsys, "check", *files)
     assert code == 0
-    assert out.count("holds") == 4
+    assert out.count(": holds") == 4
+    code, out, _ = aerotube(capsys, "check", tmp_path)
+    assert (code, out.count(": holds"), "8 of 8 certificates hold." in out) == (0, 8, True)
+    code, _, errors = aerotube(capsys, "check", tmp_path / "figures")
+    assert (code, one_sentence(errors), "holds no certificates" in errors) == (2, True, True)
     code, out, _ = aerotube(capsys, "check", files[0])
     assert (code, "The certificate holds." in out) == (0, True)
 
@@ -278,6 +298,8 @@ def test_certificates_of_a_run_are_checked_offline(capsys, tmp_path):
     spoiled.write_text(json.dumps(content))
     code, out, _ = aerotube(capsys, "check", spoiled)
     assert (code, "NOT PROVEN" in out) == (1, True)
+    code, out, _ = aerotube(capsys, "check", tmp_path)
+    assert (code, "8 of 9 certificates hold." in out) == (1, True)
 
 
 @pytest.mark.parametrize("text", [None, "no JSON", "{}"])
@@ -289,3 +311,19 @@ def test_what_is_no_certificate_is_a_mistake(capsys, tmp_path, text):
     assert code == 2
     assert one_sentence(errors)
     assert "certificate.json" in errors
+
+
+def test_what_is_compiled_is_known_by_the_compilers_own_files(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert not compiled()
+    (tmp_path / "module").mkdir()
+    (tmp_path / "module" / "kernel.nbi").touch()
+    assert compiled()
+
+
+def test_a_first_run_says_that_it_compiles(capsys, monkeypatch):
+    monkeypatch.setattr("aerotube.commands.common.compiled", lambda: False)
+    with progress() as tell:
+        for words in ("tubes", "tubes: laws", "tubes: flights"):
+            tell(words, 0.0)
+    assert ["compiling" in line for line in capsys.readouterr().err.splitlines()] == [True, True, False]

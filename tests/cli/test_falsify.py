@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from aerotube import scenario, verify
-from aerotube.commands.falsify import parse_beats
+from aerotube.commands.falsify import parse_beats, ratio_words
 from aerotube.errors import InputError
 from tests.cli.test_cli import aerotube, one_sentence
 
@@ -27,6 +27,7 @@ def test_every_tube_is_attacked_and_what_was_found_is_written(capsys, tmp_path, 
     assert code == 0  # broken or not: they promise no more than their polynomials
     assert "longitudinal, size" in printed
     assert "noise-free law" in printed
+    assert f"Written to {out}" in printed.replace("\n", "")
     told = json.loads((out / "falsification.json").read_text(encoding="utf-8"))
     assert told["samples"] == 50
     assert set(told["tightness"]) == {"noise_free", "noise"}
@@ -81,6 +82,24 @@ def test_an_interruption_keeps_what_was_finished(capsys, tmp_path, short, monkey
     told = json.loads((tmp_path / "falsification.json").read_text(encoding="utf-8"))
     assert told["interrupted"]
     assert list(told["tightness"]) == ["noise_free"]
+
+
+def test_a_search_cut_short_at_once_leaves_nothing(capsys, tmp_path, short, monkeypatch):
+    def cut(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(verify, "falsify", cut)
+    monkeypatch.chdir(tmp_path)
+    code, _, errors = aerotube(capsys, "falsify", short, "--samples", 50)
+    assert code == 130
+    assert "nothing was written" in errors
+    assert [path.name for path in tmp_path.iterdir()] == ["short.toml"]
+
+
+def test_ratios_near_one_keep_what_they_differ_by():
+    assert [ratio_words(value) for value in (None, 0.9901, 1.0, 1.0 + 2.3e-7, 0.99999)] == [
+        "–", "0.990", "1.000", "1+2.3e-07", "1-1.0e-05",
+    ]  # fmt: skip
 
 
 def test_beats_are_read():

@@ -44,7 +44,7 @@ def test_a_condition_and_a_disturbance_of_ones_own(capsys):
 def test_tables_show_what_there_is(capsys):
     code, out, _ = aerotube(capsys, "tube", *QUICK, "--gains", "--setting", "noise")
     assert code == 0
-    for word in ("half-widths", "deg/s", "lateral", "polynomial only", "thrust (N)", "with the law"):
+    for word in ("half-widths", "deg/s", "lateral", "polynomial only", "thrust (N)", "with the law", "√4 = 2 times"):
         assert word in out
 
 
@@ -59,6 +59,9 @@ def test_tables_show_what_there_is(capsys):
         (("--state", "mach=0.5"), "there is no mach; known here: V, alpha"),
         (("--state", "V=0 m/s"), "positive airspeed"),
         (("--state", "altitude=40 km"), "altitude is 40000 m"),
+        (("--state", "altitude=100 km"), "outside the range 0 to 15240 m"),
+        (("--figure", "tube.xyz"), "its ending is not one of those there are"),
+        (("--figure", "nowhere/tube.png"), "--figure nowhere/tube.png cannot be written"),
         (("--control", "throttle=high"), '"high" is no number'),
         (("--control", "elevator=40 deg"), "limits of -20 deg to 20 deg"),
         (("--disturbance", "mach=3 %"), "disturbance.mach is an unknown key"),

@@ -200,6 +200,19 @@ def test_a_mean_square_above_every_extreme_is_no_less_than_their_mean():
     assert np.any(each.bound > mean.bound * (1.0 + 1e-4))
 
 
+def test_a_law_names_beats_and_errors_that_there_are_not():
+    linear = LinearLaw(np.zeros((3, 4, 8)), ErrorCoordinates("relative"))
+    cubic = PolynomialLaw(linear.gains, linear.exponents, linear.coordinates)
+    for law in (linear, cubic):
+        for beat, error, words in (
+            (3, np.zeros(8), "beats 0 to 2"),
+            (-1, np.zeros(8), "-1 is none"),
+            (0, [1.0], "eight"),
+        ):
+            with pytest.raises(InputError, match=words):
+                law.increment(beat, np.asarray(error))
+
+
 @pytest.mark.slow
 def test_a_cubic_law_of_all_eight_errors_keeps_to_its_limits():
     plane, nominal = aircraft(), table2(2)

@@ -68,15 +68,15 @@ def test_the_sweep_keeps_the_best(table2, linear, noise):
         control_weights=(1e-2, 1.0),
         noise_weights=(0.0, 4.0),
         seeds=2,
+        substeps=2,
     )
     assert sweep.seeds == (3, 4)
     alone = np.empty((2, 2))
     for i, control_weight in enumerate((1e-2, 1.0)):
         for j, noise_weight in enumerate((0.0, 4.0)):
             law = time_varying_lqr(table2.aircraft, table2.nominal, linear, EULER, control_weight, noise_weight)
-            flights = simulate(
-                table2.aircraft, table2.nominal, law, draw(table2.box, [3, 4], 20, mass_error=0.05), noise=noise
-            )
+            some = draw(table2.box, [3, 4], 20, mass_error=0.05)
+            flights = simulate(table2.aircraft, table2.nominal, law, some, noise=noise, substeps=2)
             alone[i, j] = flights.mean_upper_error().mean()
     np.testing.assert_allclose(sweep.scores, alone, rtol=1e-9)
     i, j = np.unravel_index(np.argmin(alone), (2, 2))

@@ -50,12 +50,12 @@ def spoil(path, change):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda x: [x[0].replace("throttle", "thrust"), *x[1:]], "no column throttle"),
+        (lambda x: [x[0].replace("throttle", "thrust"), *x[1:]], r"lacks columns: throttle; it needs.*throttle \(1\)"),
         (lambda x: [*x[:4], x[4].replace(x[4].split(",")[0], "0.151"), *x[5:]], "not evenly spaced"),
         (lambda x: [*x[:3], x[3] + ",1", *x[4:]], "row 2 of"),
         (lambda x: [*x[:3], "fast" + x[3][x[3].index(",") :], *x[4:]], "no number"),
         (lambda x: x[:2], "at least two"),
-        (lambda x: [], "empty|no column"),
+        (lambda x: [], "empty|lacks columns"),
     ],
 )
 def test_a_spoiled_file_is_named_and_explained(tmp_path, change, words):

@@ -31,7 +31,7 @@ def test_the_whole_report_is_written(dataset, tmp_path):
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     summary = summarise(dataset)
     assert f"{100 * summary['reduction']['mean']:.1f} %" in page
-    assert "sampled (the remainder is bounded" in page
+    assert "Sampled: with a confidence of" in page
     assert dataset.attrs["scenario_sha256"] in page
     # Nothing is fetched: no script, style or picture comes from elsewhere.
     markup = re.sub(r"<script.*?</script>", "", page, flags=re.S)

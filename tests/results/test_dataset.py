@@ -105,6 +105,9 @@ def test_files_of_others_are_refused(record, tmp_path):
     with pytest.raises(InputError, match="netCDF"):
         results.read(tmp_path / "text.nc")
     dataset = results.build(record)
+    results.write(dataset.drop_attrs().assign_attrs(schema_version="2.0", title="a log"), tmp_path / "log.nc")
+    with pytest.raises(InputError, match='"a log", not the results of a run'):
+        results.read(tmp_path / "log.nc")
     dataset.attrs["schema_version"] = "99.0"
     results.write(dataset, tmp_path / "future.nc")
     with pytest.raises(InputError, match=r"99\.0"):

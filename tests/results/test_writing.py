@@ -3,7 +3,7 @@ import json
 import pytest
 
 from aerotube.errors import InputError
-from aerotube.results import ensure_folder, whole_file, write_json, write_text
+from aerotube.results import ensure_folder, out_folder, whole_file, write_json, write_text
 
 
 def test_a_file_appears_whole(tmp_path):
@@ -41,9 +41,22 @@ def test_a_folder_is_made_and_left_empty(tmp_path):
     assert list(folder.iterdir()) == []
 
 
-@pytest.mark.parametrize("inside", ["file", "file/deeper/still"])
+@pytest.mark.parametrize("inside", ["file", "file/deeper/still", "new/../file"])
 def test_a_folder_that_cannot_be_is_named_and_nothing_is_left(tmp_path, inside):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(InputError, match=r"out folder .* cannot be written"):
         ensure_folder(tmp_path / inside)
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_folders_made_for_nothing_go_again(tmp_path):
+    (tmp_path / "mine").mkdir()
+    with out_folder(tmp_path / "mine" / "a" / "b") as folder:
+        assert folder.is_dir()
+    assert list((tmp_path / "mine").iterdir()) == []
+    with out_folder(tmp_path / "mine") as folder:
+        pass
+    assert folder.is_dir()
+    with out_folder(tmp_path / "a" / "b") as folder:
+        (folder / "file").write_text("kept")
+    assert (tmp_path / "a" / "b" / "file").is_file()

@@ -90,7 +90,15 @@ BAD = {
     "no runs": (changed("runs = 100 ", "runs = 0 "), ["draws.runs", "greater"]),
     "missing key": (changed('phi = "0 deg"', ""), ["nominal.state.phi", "missing"]),
     "unknown choice": (changed('gusts = "none"', 'gusts = "hurricane"'), ["flight.gusts", "severe"]),
-    "odd degree": (changed("degree = 4", "degree = 3"), ["synthesis.degree"]),
+    "odd degree": (changed("degree = 4", "degree = 3"), ["synthesis.degree", "even number"]),
+    "share without a unit": (changed('mass = "5 %"', "mass = 0.05"), ["disturbance.mass", '"5 %"']),
+    "two rates": (changed("degree = 4", "rate_limits = [1.0, 1e5]"), ["rate_limits", "four rates", "60 deg/s"]),
+    "rate of another kind": (
+        changed("degree = 4", 'rate_limits = ["1 deg/s", "1 deg/s", 1, 1]'),
+        ["rate_limits", "rate of thrust", "N/s"],
+    ),
+    "rate of nothing": (changed("degree = 4", "rate_limits = [1, 0, 1, 1]"), ["the rate of thrust is 0", "positive"]),
+    "empty file": ("", ["aircraft is missing", "aerotube init"]),
     "table where a value belongs": (changed('title = "Table 2: pull-out, rolling left"', "title = {}"), ["title"]),
     "value where a table belongs": ("draws = 3\n" + TEXT[: TEXT.index("[draws]")], ["draws", "table"]),
     "zero width": (changed('q = "0.5 deg/s"', 'q = "0 deg/s"'), ["disturbance.q", "greater than 0"]),
@@ -130,3 +138,21 @@ def test_a_file_that_is_no_text_is_named(tmp_path):
 def test_a_folder_is_no_scenario(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         scenario.load(tmp_path)
+
+
+def test_rates_are_quantities_or_si():
+    text = changed("degree = 4", 'rate_limits = ["180 deg/s", "60 kN/s", 1.5, "2 rad/s"]')
+    assert scenario.parse(text).scenario.synthesis.rate_limits == pytest.approx([math.pi, 6e4, 1.5, 2.0])
+
+
+@pytest.mark.parametrize(("key", "most"), [("degree = 20", "at most 8"), ("reuse = 70", "at most 59")])
+def test_what_would_not_end_or_makes_no_sense_is_refused(key, most):
+    name = key.split()[0]
+    line = next(line for line in TEXT.splitlines() if line.startswith(f"{name} = "))
+    with pytest.raises(InputError, match=f"{name} is .*{most}"):
+        prepare(scenario.parse(changed(line, key)))
+
+
+def test_an_option_is_named_as_it_was_typed():
+    with pytest.raises(InputError, match=r"^--noise -1: flight\.noise must be greater than or equal to 0$"):
+        scenario.load(overrides={"flight.noise": "-100 %"}, typed={"flight.noise": "--noise -1"})

@@ -111,8 +111,8 @@ def test_cut_boxes_hold_what_they_say_and_are_flown(kind, which, texts):
     [
         ("polytope", "", "needs disturbance.inequalities"),
         ("box", 'inequalities = ["V <= 1"]', "belong to set"),
-        ("polytope", 'inequalities = ["V^2 <= 1"]', "not linear"),
-        ("polytope", 'inequalities = ["V >= 0.5"]', "undisturbed state"),
+        ("polytope", 'inequalities = ["V^2 <= 1"]', r'"V\^2 <= 1" of the polytope is not linear'),
+        ("polytope", 'inequalities = ["V >= 0.5"]', r'"V >= 0.5".*undisturbed state'),
         ("semialgebraic", 'inequalities = ["V <"]', 'disturbance.inequalities: "V <" is no inequality'),
         ("box", "matrix = [[1.0]]", "8 rows of 8"),
         ("ellipsoid", f"matrix = {(-np.eye(8)).tolist()}", "positive definite"),

@@ -52,3 +52,12 @@ def test_what_is_shown_reads_back_as_what_is_inside(value, name):
 def test_anything_else_is_refused(value):
     with pytest.raises(ValueError, match=r"angle|unit"):
         parse_quantity(value, "angle")
+
+
+@pytest.mark.parametrize(
+    ("value", "kind", "suggested"),
+    [(0.05, "ratio", '"5 %"'), ("0.05", "ratio", '"5 %"'), (5, "ratio", '"5 %"'), (1.0, "angle", '"1.0 deg"')],
+)
+def test_a_number_without_a_unit_is_told_what_it_may_mean(value, kind, suggested):
+    with pytest.raises(ValueError, match=f"has no unit.*{suggested}"):
+        parse_quantity(value, kind)

@@ -11,6 +11,7 @@ from aerotube.errors import ComputationError, InputError
 from aerotube.studies import STUDIES, job
 from aerotube.studies.bench import Bench
 from aerotube.studies.outcome import Outcome, compare
+from aerotube.studies.page import _number
 from aerotube.studies.statistics import paired, spread, welch
 from aerotube.studies.steps_time import predicted
 
@@ -43,6 +44,24 @@ def folder(tmp_path_factory):
     assert done.problems == []
     assert set(done.verdicts) == set(QUICK)
     return target
+
+
+def test_progress_never_runs_backwards():
+    told = []
+    tell = job._telling(lambda words, share: told.append(share), "a", 0.2, 0.5)
+    for words, share in (("main", 0.0), ("main", 0.9), ("others", 0.6), ("others", 1.0)):
+        tell(words, share)
+    assert told == pytest.approx([0.2, 0.65, 0.65, 0.7])
+
+
+def test_studies_interrupted_at_once_leave_nothing(tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(job, "_do", interrupted)
+    done = job.run(["tracking"], tmp_path / "out", runs=2, seeds=1)
+    assert done.interrupted
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_study_writes_its_files(folder):
@@ -133,7 +152,8 @@ def test_numbers_beside_the_papers():
     row = compare("a", "a", 0.5, [0.2, 0.3])
     assert (row.ours, row.ratio) == pytest.approx((0.25, 0.5))
     assert row.ours_sd == pytest.approx(np.sqrt(0.005))
-    assert row.verdict == "0.5 of the paper's"
+    assert row.verdict == "smaller than the paper's"
+    assert [_number(value) for value in (2.78e-11, 0.0, 0.25, -2e-4)] == ["0", "0", "0.250", "-0.000200"]
     assert compare("a", "a", None, 1.0).ratio is None
     assert compare("a", "a", 1.0, [1.0, np.nan]).verdict == "not reached"
     assert spread([1.0, 3.0], 1) == "2.0 ± 1.4"

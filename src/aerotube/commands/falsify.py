@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from aerotube.commands.common import FAILED, FINE, INTERRUPTED, interruptible, progress
+from aerotube.commands.common import FAILED, FINE, NOTHING, Interrupted, interruptible, progress
 from aerotube.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,7 +35,10 @@ def falsify(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random points.")] = 0,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; as many as cores without it.")] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The folder to write to.")] = Path("out"),
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="The folder to write to; out/falsified/SCENARIO without it."),
+    ] = None,
 ) -> None:
     """Try to break every tube of a scenario: search its sets for a flight of one beat that leaves it.
 
@@ -43,12 +46,12 @@ def falsify(
     polynomials only, with the errors of their own half. Writes falsification.json, falsification.nc and a figure.
     Exit code 1: a tube that promises more than its polynomials is broken. A million points a tube take a few minutes.
     """
-    from aerotube.preparation import prepare
-    from aerotube.results import ensure_folder
-    from aerotube.scenario import load
-
     threads = workers or os.cpu_count() or 1
-    with interruptible(), progress() as tell:
+    with interruptible(NOTHING), progress() as tell:
+        from aerotube.preparation import prepare
+        from aerotube.results import out_folder
+        from aerotube.scenario import load
+
         source = load(scenario, {})
         prepared = prepare(source)
         chosen = parse_beats(beats, prepared.nominal.beats)
@@ -56,16 +59,23 @@ def falsify(
         if certificate is not None:
             asked: Any = certificate  # the settings say so if there is no such kind
             settings = {key: replace(value, certificate=asked) for key, value in settings.items()}
-        folder = ensure_folder(out)
+        # a folder of its own, so that it does not come to lie among the results of another scenario
+        folder = out or Path("out", "falsified", "built-in" if scenario is None else scenario.stem)
         options = {"beats": chosen, "samples": samples, "seed": seed, "workers": threads}
-        attacks, interrupted = _attacked(prepared, settings, options, tell)
+        with out_folder(folder) as target:
+            attacks, interrupted = _attacked(prepared, settings, options, tell)
+            if not attacks:
+                raise KeyboardInterrupt
+            try:
+                _save(attacks, source, target)
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"interrupted while writing; in {folder} some files are new and whole, the others missing or older"
+                ) from None
         tell("done", 1.0)
-    if attacks:
-        _save(attacks, source, folder)
-        _print(attacks, folder)
+    _print(attacks, folder)
     if interrupted:
-        typer.echo(f"aerotube: interrupted; what was finished is in {folder}", err=True)
-        raise typer.Exit(INTERRUPTED)
+        raise Interrupted(f"interrupted; what was finished is in {folder}")
     raise typer.Exit(FAILED if any(attack.refuted.any() for attack in attacks.values()) else FINE)
 
 
@@ -171,6 +181,7 @@ def _print(attacks: Mapping[str, Attack], folder: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from aerotube.compensation.sampled import FACTOR, TERMINAL_FACTOR
     from aerotube.results.falsified import FORM_WORDS, summarise_attack, violations
 
     console = Console(highlight=False)
@@ -182,7 +193,7 @@ def _print(attacks: Mapping[str, Attack], folder: Path) -> None:
         for name in ("tubes", "median", "min", "max", "broken"):
             table.add_column(name, justify="right", no_wrap=True)
         for row in summarise_attack(attack):
-            sizes = ("–" if row[name] is None else f"{row[name]:.3f}" for name in ("median", "min", "max"))
+            sizes = (ratio_words(row[name]) for name in ("median", "min", "max"))
             tube = f"{row['part']}, {row['form']}"
             table.add_row(tube, row["certificate"], str(row["tubes"]), *sizes, str(row["broken"]))
         console.print(table)
@@ -197,3 +208,21 @@ def _print(attacks: Mapping[str, Attack], folder: Path) -> None:
             )
         if len(broken) > _SHOWN:
             console.print(f"and {len(broken) - _SHOWN} more; all are in {folder / 'falsification.json'}")
+    if any("sampled" in attack.certificate for attack in attacks.values()):
+        console.print(
+            f"Sampled tubes keep a reserve, {FACTOR:g} times the largest size found for them and {TERMINAL_FACTOR:g} "
+            f"times in their terminal ellipsoids: a search that finds no more than theirs comes to {1 / FACTOR:.3f} "
+            f"and {1 / TERMINAL_FACTOR:.3f}.",
+            soft_wrap=True,
+        )
+    console.print(
+        f"Written to {folder}: falsification.json, falsification.nc, figures/falsification.png", soft_wrap=True
+    )
+
+
+def ratio_words(ratio: float | None) -> str:
+    """A ratio in words, with what it differs from one by where three decimals do not show it: "1+2.3e-07"."""
+    if ratio is None:
+        return "–"
+    close = 0.0 < abs(ratio - 1.0) < 5e-4
+    return f"1{ratio - 1.0:+.1e}" if close else f"{ratio:.3f}"

@@ -15,10 +15,10 @@ def report(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The folder to write to; that of the file.")] = None,
 ) -> None:
     """Draw the figures and the report of a results file again, nothing computed anew."""
-    from aerotube import report as reports
-    from aerotube.results import ensure_folder, read
-
     with interruptible():
+        from aerotube import report as reports
+        from aerotube.results import ensure_folder, read
+
         dataset = read(results)
         folder = ensure_folder(out or results.parent)
         reports.write(dataset, folder)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from aerotube.commands.common import FAILED, FINE, INTERRUPTED, interruptible, progress
+from aerotube.commands.common import FAILED, FINE, NOTHING, Interrupted, interruptible, progress
 
 
 def run(
@@ -47,11 +46,8 @@ def run(
     """Fly a scenario with and without compensation, and with LQR, and write results and a report.
 
     Writes results.nc (all data, labelled), summary.json, figures/ and report.html to the out folder. The options
-    overrule the scenario file.
+    overrule the scenario file; what is not given is the scenario's (`aerotube init` shows the built-in one's values).
     """
-    from aerotube import job
-    from aerotube.scenario import load
-
     asked: dict[str, Any] = {
         "draws.runs": runs,
         "draws.seeds": seeds,
@@ -61,8 +57,20 @@ def run(
         "nominal.horizon": None if horizon is None else f"{horizon!r} s",
         "synthesis.algorithm": algorithm,
     }
-    with interruptible(), progress() as tell:
-        source = load(scenario, {key: value for key, value in asked.items() if value is not None})
+    given = {key: value for key, value in asked.items() if value is not None}
+    typed = {
+        "draws.runs": f"--runs {runs}",
+        "draws.seeds": f"--seeds {seeds}",
+        "flight.noise": f"--noise {noise:g}" if noise is not None else "",
+        "flight.gusts": f"--gusts {gusts}",
+        "nominal.horizon": f"--horizon {horizon:g}" if horizon is not None else "",
+        "synthesis.algorithm": f"--algorithm {algorithm}",
+    }
+    with interruptible(NOTHING), progress() as tell:
+        from aerotube import job
+        from aerotube.scenario import load
+
+        source = load(scenario, given, {key: words for key, words in typed.items() if key in given})
         summary = job.run(source, out, workers or os.cpu_count() or 1, tell, certificates)
     _print_summary(summary, out)
     raise typer.Exit(_exit_code(summary, out))
@@ -73,6 +81,7 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from aerotube.report.words import certificate_lines, change_words, containment_lines, margin_lines
     from aerotube.results import CONTROLLER_WORDS, KEY_SUFFIX
 
     console = Console(highlight=False)
@@ -82,75 +91,42 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     for condition in shown:
         table.add_column(condition, justify="right", no_wrap=True)
     for controller, words in CONTROLLER_WORDS.items():
-        table.add_row(words, *(_spread(summary[f"mean_upper_error{s}"][controller], 1.0, 3) for s in shown.values()))
+        table.add_row(words, *(_spread(summary[f"mean_upper_error{s}"][controller]) for s in shown.values()))
     table.add_section()
-    for key, words in (("reduction", "reduction (%)"), ("lqr_reduction", "reduction by LQR (%)")):
-        table.add_row(words, *(_spread(summary[f"{key}{s}"], 100.0, 1) for s in shown.values()))
+    for key, words in (("reduction", "change (%)"), ("lqr_reduction", "change by LQR (%)")):
+        table.add_row(words, *(change_words(summary[f"{key}{s}"]) for s in shown.values()))
     if shown:
         console.print(table)
     solve = summary["solve_ms"]
     if solve["median"] is not None:
         console.print(
-            f"{summary['seeds']} seeds of {summary['runs_per_seed']} runs, {summary['horizon_s']:g} s; "
+            f"{summary['seeds']} seed(s) of {summary['runs_per_seed']} run(s), {summary['horizon_s']:g} s; "
             f"{summary['feasible_beats']} of {summary['beats']} beats feasible; one program takes "
             f"{solve['median']:.1f} ms (median), {solve['p99']:.1f} ms (99th percentile)",
             soft_wrap=True,
         )
-    for line in (*_margin_lines(summary), *_containment_lines(summary)):
+    for line in (*certificate_lines(summary), *margin_lines(summary), *containment_lines(summary)):
         console.print(line, soft_wrap=True)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
 
 
-def _margin_lines(summary: dict[str, Any]) -> Iterator[str]:
-    """The worst margins of every law over the beats, in words."""
-    from aerotube.report.assurance import delay_words, gain_words
-
-    for law, facts in summary["laws"].items():
-        margins = facts["margins"]
-        words = f"{law.replace('_', '-')} law, worst margins of the frozen loops: "
-        if margins is None:
-            continue
-        if margins["all"] is None:
-            yield words + "none, as no loop is stable by itself"
-            continue
-        single = {name: worst for name, worst in margins.items() if isinstance(worst, dict) and name != "all"}
-        name = min(single, key=lambda control: single[control]["disk"])
-        told = (f"{name} alone", single[name]), ("all controls at once", margins["all"])
-        words += "; ".join(
-            f"{which} gain {gain_words(worst['gain_db'])}, phase ±{worst['phase_deg']:.0f}° (beat {worst['at_beat']}), "
-            f"delay {delay_words(worst)}"
-            for which, worst in told
-        )
-        unstable = margins["unstable_beats"]
-        yield words + (f"; beats not stable by themselves: {unstable}" if unstable else "")
-
-
-def _containment_lines(summary: dict[str, Any]) -> Iterator[str]:
-    """How flights kept to their tubes, in words."""
-    for condition, found in summary["containment"].items():
-        beats, inside = found["beats"], found["started_inside"]
-        violations = ", ".join(f"{name} {count}" for name, count in found["violations"].items() if count) or "none"
-        reasons = ", ".join(f"{reason} {count}" for reason, count in found["outside"].items() if count)
-        yield (
-            f"{condition}: {100.0 * inside / max(beats, 1):.1f} % of {beats} beats started inside the sets of their "
-            f"tubes{f' (outside: {reasons})' if reasons else ''}; of these left their tube: {violations}"
-        )
-
-
-def _spread(value: dict[str, float | None], factor: float, digits: int) -> str:
+def _spread(value: dict[str, float | None]) -> str:
     if value["mean"] is None:
         return "–"
-    mean = f"{factor * value['mean']:.{digits}f}"
-    return mean if value["sd"] is None else f"{mean} ± {factor * value['sd']:.{digits}f}"
+    return f"{value['mean']:.3f}" if value["sd"] is None else f"{value['mean']:.3f} ± {value['sd']:.3f}"
 
 
 def _exit_code(summary: dict[str, Any], out: Path) -> int:
+    from aerotube.report.words import worse_words
+
+    worse = worse_words(summary)
+    if worse:
+        typer.echo(f"aerotube: warning: {worse}", err=True)
     problems = summary["problems"]
     for problem in problems[:10]:
         typer.echo(f"aerotube: {problem}", err=True)
     if len(problems) > 10:
         typer.echo(f"aerotube: and {len(problems) - 10} more failures; all are in {out / 'summary.json'}", err=True)
     if summary["interrupted"]:
-        typer.echo(f"aerotube: interrupted; the parts that were finished are in {out}", err=True)
-        return INTERRUPTED
+        raise Interrupted(f"interrupted; the parts that were finished are in {out}")
     return FAILED if problems else FINE

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from aerotube.commands.common import FAILED, FINE, INTERRUPTED, interruptible, progress
+from aerotube.commands.common import FAILED, FINE, NOTHING, Interrupted, interruptible, progress
 from aerotube.studies import STUDIES
 
 
@@ -24,16 +24,18 @@ def study(
     Writes a folder for each study (data.nc, figure.png, table.csv) as it ends, and gathers all that the out folder
     has in studies.json and studies.html.
     """
-    from aerotube.studies import job
+    with interruptible(NOTHING), progress() as tell:
+        from aerotube.studies import job
 
-    with interruptible(), progress() as tell:
         done = job.run(names, out, runs=runs, seeds=seeds, workers=workers or os.cpu_count() or 1, progress=tell)
     for name, verdict in done.verdicts.items():
         typer.echo(f"{name} ({done.seconds[name]:.0f} s): {verdict}")
-    typer.echo(f"Report: {out / 'studies.html'}")
+    if done.verdicts or not done.interrupted:
+        typer.echo(f"Report: {out / 'studies.html'}")
     for problem in done.problems:
         typer.echo(f"aerotube: {problem}", err=True)
+    if done.interrupted and not done.verdicts:
+        raise Interrupted(NOTHING)
     if done.interrupted:
-        typer.echo(f"aerotube: interrupted; the studies that were finished are in {out}", err=True)
-        raise typer.Exit(INTERRUPTED)
+        raise Interrupted(f"interrupted; the studies that were finished are in {out}")
     raise typer.Exit(FAILED if done.problems else FINE)

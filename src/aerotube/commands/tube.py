@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from aerotube.commands.common import FAILED, FINE, interruptible
+from aerotube.commands.common import FAILED, FINE, NOTHING, interruptible
 from aerotube.errors import InputError
 
 if TYPE_CHECKING:
@@ -49,23 +50,27 @@ def tube(
 ) -> None:
     """Tell the tube of one beat: where disturbances can take the aircraft, and how much of that a law takes back.
 
+    Half-widths at the start are those of an ellipsoid around the disturbance set, so wider than the scenario's.
+
     Of a moment of the scenario's manoeuvre the tube is that of `aerotube run`, which knows what follows. With --state
     or --control it is that of the condition alone, in the metric of the stationary regulator there.
 
     Example: aerotube tube --time 1.5 --state "V=200 m/s" --disturbance "mass=10 %" --gains
     """
-    from aerotube.preparation import prepare
-    from aerotube.scenario import load
+    with interruptible(NOTHING):
+        from aerotube.preparation import prepare
+        from aerotube.scenario import load
 
-    with interruptible():
         changes = {f"disturbance.{key}": value for key, value in _pairs(disturbance, "--disturbance").items()}
         source = load(scenario, changes)
+        if figure is not None:
+            _check_figure(figure)
         prepared = prepare(source)
         if setting not in prepared.settings:
             raise InputError(f"--setting {setting} is not known; choose {' or '.join(prepared.settings)}")
         reading, what = _read(prepared, time, state, control, setting, certificate)
         if figure is not None:
-            _draw(reading, what, figure)
+            _draw(reading, what, figure, prepared.source.scenario.disturbance.set == "box")
         if as_json:
             typer.echo(json.dumps(described(reading, what, prepared), indent=2))
         else:
@@ -229,6 +234,7 @@ def _print(reading: Reading, what: str, prepared: Prepared, gains: bool) -> None
     for name, row in told["half_widths"].items():
         table.add_row(name, row["unit"], *(shown(row[key]) for key in ("start", "nominal", "compensated")))
     console.print(table)
+    console.print(tube_words(reading.parts, prepared.source.scenario.disturbance.set == "box"), soft_wrap=True)
     table = Table(title="Size of the tube, in the metric of the synthesis", title_justify="left", box=SIMPLE_HEAD)
     for heading in ("", "nominal controls", "with the law", "ratio", "certificate"):
         table.add_column(heading, justify="left" if heading in ("", "certificate") else "right")
@@ -245,13 +251,46 @@ def _print(reading: Reading, what: str, prepared: Prepared, gains: bool) -> None
         console.print(table)
 
 
-def _draw(reading: Reading, what: str, file: Path) -> None:
+def _check_figure(file: Path) -> None:
+    """Notice before anything is computed that a figure cannot be written."""
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    known = FigureCanvasBase.get_supported_filetypes()
+    if file.suffix[1:].lower() not in known:
+        raise InputError(
+            f"--figure {file}: its ending is not one of those there are; choose {', '.join(sorted(known))}"
+        )
+    if file.is_dir():
+        raise InputError(f"--figure {file} is a folder; add a file's name")
+    try:
+        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=".write-test-"):
+            pass
+    except OSError as error:
+        raise InputError(f"--figure {file} cannot be written ({error.strerror}); choose another place") from None
+
+
+def tube_words(parts: Sequence[str], box: bool) -> str:
+    """How the half-widths of a tube are to be read."""
+    states = 8 // len(parts)
+    start = (
+        f"the least ellipsoid around the disturbance box, up to √{states} = {states**0.5:.3g} times as wide"
+        if box
+        else "the least ellipsoid around the disturbance set, wider than it"
+    )
+    return (
+        f"The tube starts from {start}. The law makes the size in the metric of cost small, not each half-width: "
+        "single ones may grow while the ratio of sizes shrinks."
+    )
+
+
+def _draw(reading: Reading, what: str, file: Path, box: bool) -> None:
     """The tube projected on the pairs of states of the paper's Fig. 8."""
     import numpy as np
 
     from aerotube.dynamics.errors import ERROR_NAMES
     from aerotube.report.style import COLOURS, DASHES, new_figure, tidy
     from aerotube.report.tubes import PAIRS
+    from aerotube.results import whole_file
     from aerotube.tube import ellipsoid
     from aerotube.units import DISPLAY
 
@@ -262,9 +301,11 @@ def _draw(reading: Reading, what: str, file: Path) -> None:
         ("nominal", "none", "nominal controls"),
         ("terminal", "compensated", "with the law"),
     )
-    picture = new_figure(8.0, 7.0, f"Errors over one beat: {what}")
+    picture = new_figure(8.0, 7.4, f"Errors over one beat: {what}")
+    sentences = tube_words(reading.parts, box).split(". ")
+    picture.text(0.5, 0.015, ".\n".join(sentences), ha="center", fontsize=7.5, color="#555555")
     for place, pair in enumerate(PAIRS):
-        axes = picture.add_axes((0.09 + 0.49 * (place % 2), 0.56 - 0.47 * (place // 2), 0.39, 0.36))
+        axes = picture.add_axes((0.09 + 0.49 * (place % 2), 0.58 - 0.455 * (place // 2), 0.39, 0.335))
         index, own = next(
             (i, part.errors)
             for i, part in enumerate(tubes.parts)
@@ -289,7 +330,5 @@ def _draw(reading: Reading, what: str, file: Path) -> None:
                 fontsize=9,
                 frameon=False,
             )
-    try:
-        picture.savefig(file, dpi=150)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--figure {file} cannot be written: {error}") from None
+    with whole_file(file) as aside:
+        picture.savefig(aside, dpi=150, format=file.suffix[1:].lower())

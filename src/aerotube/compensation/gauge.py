@@ -190,6 +190,12 @@ def gauge_beat(
 def _side_by_side(aircraft: Aircraft, states: Array, controls: Array, dt: float) -> Nominal:
     """One nominal of which every other beat, from the first, is a condition; what joins them is of no meaning."""
     held = controls.reshape(-1, 4)
+    inside = aircraft.in_domain(states)
+    if not inside.all():
+        index = int(np.argmin(inside))
+        which = f"condition {index}" if len(states) > 1 else "the condition"
+        reason = aircraft.domain_violation(states[index])
+        raise InputError(f"gauge: {which} is outside the aircraft's model ({reason}); choose another.")
     both = np.stack([states, step(aircraft, states, held, dt)], axis=1).reshape(-1, states.shape[-1])
     nominal = Nominal(dt, both, np.repeat(held, 2, axis=0)[:-1], "gauge")
     nominal.check(aircraft)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube.compensation import monomials
-from aerotube.dynamics.errors import ErrorCoordinates
+from aerotube.dynamics.errors import ERROR_NAMES, ErrorCoordinates
+from aerotube.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -59,8 +60,14 @@ class LinearLaw:
         Returns
         -------
         ndarray (..., 4)
+
+        Raises
+        ------
+        InputError
+            If there is no such beat, or the errors are not eight.
         """
-        return _kept(np.asarray(error) @ self.gains[beat].T, None if self.room is None else self.room[beat])
+        error = _checked(beat, error, len(self.gains))
+        return _kept(error @ self.gains[beat].T, None if self.room is None else self.room[beat])
 
     def increments(self, beats: NDArray[np.intp], error: Array) -> Array:
         """Increments at many beats.
@@ -149,7 +156,8 @@ class PolynomialLaw:
 
     def increment(self, beat: int, error: Array) -> Array:
         """Increments (..., 4) at a beat, for errors (..., 8); see :meth:`LinearLaw.increment`."""
-        z = None if self.unwhitening is None else np.asarray(error) @ self.unwhitening[beat].T
+        error = _checked(beat, error, len(self.coefficients))
+        z = None if self.unwhitening is None else error @ self.unwhitening[beat].T
         made = np.tensordot(self.coefficients[beat], self._monomials(error, z), axes=1)
         return _kept(np.moveaxis(made, 0, -1), None if self.room is None else self.room[beat])
 
@@ -206,6 +214,18 @@ def assembled(
         return LinearLaw(table, coordinates, room)
     blocks = tuple(errors for errors, _, _ in parts)
     return PolynomialLaw(table, np.array(rows, dtype=np.int64), coordinates, room, unwhitening, blocks)
+
+
+def _checked(beat: int, error: Array, beats: int) -> Array:
+    """Errors as an array; InputError for a beat that there is not, or another number of errors than eight."""
+    if not 0 <= beat < beats:
+        raise InputError(f"law: it has the beats 0 to {beats - 1}; {beat} is none of them.")
+    error = np.asarray(error)
+    if error.shape[-1:] != (8,):
+        raise InputError(
+            f"law: errors of shape {error.shape} were given; their last axis must hold eight, {', '.join(ERROR_NAMES)}."
+        )
+    return error
 
 
 def _kept(increment: Array, room: Array | None) -> Array:

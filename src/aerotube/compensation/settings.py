@@ -17,6 +17,10 @@ Limits = Literal["box", "ellipsoid"]
 Certificate = Literal["polynomial only", "sampled", "rigorous"]
 
 
+#: Highest degrees of the programs that are found in reasonable time: beyond, a program's structure alone takes minutes.
+MOST_DEGREE: dict[Algorithm, int] = {"decoupled": 8, "coupled": 6}
+
+
 @dataclass(frozen=True)
 class Part:
     """Some of the error states and the controls that steer them.
@@ -59,8 +63,8 @@ class SynthesisSettings:
         What is made small: the mean square of the errors to be expected at the end of the beat (see
         :mod:`aerotube.compensation.law_program`), or the least ``rho`` that holds the worst error; or
         the trace of the inverse shape or the volume of the terminal ellipsoid, found together with the law; or a
-        mixture, ``{"worst-case": 1.0, "mean-square": 0.1}``. The worst case alone leaves the law free in all
-        directions but the worst.
+        mixture, ``{"worst-case": 0.1, "mean-square": 1.0}``. The worst case alone leaves the law free in all
+        directions but the worst: it is good for one beat, and flown on it may diverge. Use the mixture.
     shape : {"cost-to-go", "riccati"}
         The metric in which the error at the end of a beat is measured, see :mod:`aerotube.tube.shapes`.
     law_degree : int
@@ -113,7 +117,7 @@ class SynthesisSettings:
     samples, confidence, sample_seed
         Of "sampled" tubes, see :class:`~aerotube.compensation.Sampling`.
     degree : int
-        Degree of the sum-of-squares programs, even.
+        Degree of the sum-of-squares programs, even, at most that of `MOST_DEGREE`.
     backend : {"aerotube", "clarabel"}
         Solver of the programs.
 
@@ -184,8 +188,12 @@ class SynthesisSettings:
             raise InputError(f"synthesis: samples is {self.samples}; it must be at least 100.")
         if not 0 < self.confidence < 1:
             raise InputError(f"synthesis: confidence is {self.confidence}; it must be between 0 and 1.")
-        if self.degree < 2 or self.degree % 2:
-            raise InputError(f"synthesis: degree is {self.degree}; it must be even and at least 2.")
+        most = MOST_DEGREE[self.algorithm]
+        if self.degree < 2 or self.degree % 2 or self.degree > most:
+            raise InputError(
+                f"synthesis: degree is {self.degree}; it must be even, at least 2, and at most {most} with the "
+                f"algorithm {self.algorithm!r} (tubes hardly change beyond 4, and programs take ever longer)."
+            )
         try:
             sos.check_backend(self.backend)
         except ValueError as error:

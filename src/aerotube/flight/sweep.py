@@ -76,6 +76,7 @@ def best_lqr(
     noise: float = 0.0,
     estimator: ExtendedKalmanFilter | None = None,
     gusts: Dryden | None = None,
+    substeps: int = 1,
     control_weights: Sequence[float] = CONTROL_WEIGHTS,
     noise_weights: Sequence[float] = NOISE_WEIGHTS,
     seeds: int = 3,
@@ -92,6 +93,8 @@ def best_lqr(
         Fraction of the disturbance box that the measurement noise fills.
     estimator : ExtendedKalmanFilter, optional
     gusts : Dryden, optional
+    substeps : int
+        Integration steps of the flown aircraft in one beat.
     control_weights, noise_weights : sequences of float
         The sweep.
     seeds : int
@@ -114,7 +117,7 @@ def best_lqr(
         for noise_weight in noise_weights
     ]
     side_by_side = _SideBySide(np.stack([law.gains for law in laws]), coordinates)
-    fly = partial(simulate, aircraft, nominal, noise=noise, estimator=estimator, gusts=gusts)
+    fly = partial(simulate, aircraft, nominal, noise=noise, estimator=estimator, gusts=gusts, substeps=substeps)
     errors = _scores("LQR", fly, lambda _: side_by_side, len(laws), draws, seeds)
     best = int(np.argmin(errors))
     i, j = divmod(best, len(noise_weights))

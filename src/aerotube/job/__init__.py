@@ -90,22 +90,33 @@ def run(
     ------
     InputError
         If the scenario cannot be flown or the folder not be written; nothing has been written then.
+    KeyboardInterrupt
+        If it was interrupted before anything was finished, and nothing has been written; or, with a sentence that
+        says so, while it was being written.
     """
     prepared = prepare(source)
     record = new_record(prepared)
-    target = results.ensure_folder(folder)
-    try:
-        compute(prepared, record, workers, progress)
-    except KeyboardInterrupt:
-        record.interrupted = True
-    except BaseException:
-        # An error nobody foresaw: keep what there is before it is shown.
-        record.problems.append("an unforeseen error ended the run early")
-        save(record, target)
-        raise
-    summary = save(record, target)
-    if certificates:
-        save_certificates(record, target)
+    with results.out_folder(folder) as target:
+        try:
+            compute(prepared, record, workers, progress)
+        except KeyboardInterrupt:
+            if not record.laws and not record.cases:
+                raise
+            record.interrupted = True
+        except BaseException:
+            # An error nobody foresaw: keep what there is before it is shown.
+            record.problems.append("an unforeseen error ended the run early")
+            save(record, target)
+            raise
+        try:
+            summary = save(record, target)
+            if certificates:
+                save_certificates(record, target)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"interrupted while writing; in {folder} some files are new and whole, the others missing or of an "
+                "earlier run"
+            ) from None
     if progress is not None:
         progress("done", 1.0)
     return summary

@@ -9,7 +9,7 @@ import numpy as np
 from aerotube import compensation, flight
 from aerotube.dynamics import ErrorCoordinates, linearise
 from aerotube.preparation import Prepared, estimated_parameters
-from aerotube.results import CALM, ESTIMATOR, NOISE, Case
+from aerotube.results import CALM, ESTIMATOR, SETTING, Case
 from aerotube.tube import parameter_ranges
 
 
@@ -28,10 +28,6 @@ class Cases:
         self.chosen = prepared.source.scenario
         self._filter: flight.ExtendedKalmanFilter | None = None
         self._alone: Case | None = None
-
-    def setting(self, condition: str) -> str:
-        """Which setting of the synthesis is flown in a condition; the estimator takes the noise away."""
-        return "noise" if condition == NOISE else "noise_free"
 
     def fly(self, controller: str, condition: str) -> Case:
         """Fly one controller in one condition."""
@@ -75,7 +71,7 @@ class Cases:
         """How traced flights kept to the tubes of their law."""
         if trace is None:
             return None
-        prepared, made = self.prepared, self.laws[self.setting(condition)]
+        prepared, made = self.prepared, self.laws[SETTING[condition]]
         settings, states = made.settings, prepared.nominal.states[:-1]
         largest = settings.measurement_error * prepared.disturbance.half_widths
         return flight.containment(
@@ -91,7 +87,7 @@ class Cases:
         if controller == "none":
             return None, "the nominal controls"
         if controller == "compensated":
-            key = self.setting(condition)
+            key = SETTING[condition]
             return self.laws[key].law, f"law of the {key.replace('_', '-')} setting"
         coordinates = ErrorCoordinates("relative")
         sweep = flight.best_lqr(
@@ -102,6 +98,7 @@ class Cases:
             self.prepared.draws,
             noise=noise,
             estimator=estimator,
+            substeps=self.chosen.flight.substeps,
             control_weights=self.chosen.lqr.control_weights,
             noise_weights=self.chosen.lqr.noise_weights,
             seeds=self.chosen.lqr.seeds,

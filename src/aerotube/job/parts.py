@@ -82,7 +82,7 @@ def _steps(prepared: Prepared, record: Record, workers: int) -> Iterator[tuple[s
     flights = Cases(prepared, laws)
     for condition in prepared.conditions:
         for controller in results.CONTROLLERS:
-            if controller == "compensated" and flights.setting(condition) not in laws:
+            if controller == "compensated" and results.SETTING[condition] not in laws:
                 continue  # its failure is on record
             words = f"flights, {results.CONDITION_WORDS[condition]}, {results.CONTROLLER_WORDS[controller]}"
 

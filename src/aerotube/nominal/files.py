@@ -46,10 +46,12 @@ def read(path: str | Path, aircraft: Aircraft) -> Nominal:
         columns = _read_netcdf(path)
     else:
         raise InputError(f"nominal: {path.name} is neither .csv nor .nc; convert it to one of them.")
-    names = ["time", *aircraft.state_names, *aircraft.control_names]
-    missing = [name for name in names if name not in columns]
+    units = _units(aircraft)
+    missing = [name for name in units if name not in columns]
     if missing:
-        raise InputError(f"nominal: {path.name} has no column {', '.join(missing)}; it needs {', '.join(names)}.")
+        told = "all" if len(missing) == len(units) else ", ".join(missing)
+        needed = ", ".join(f"{name} ({unit})" for name, unit in units.items())
+        raise InputError(f"nominal: {path.name} lacks columns: {told}; it needs, in any order, {needed}.")
     time = columns["time"]
     if len(time) < 2:
         raise InputError(f"nominal: {path.name} holds {len(time)} sample(s); at least two are needed.")
@@ -83,8 +85,7 @@ def write(path: str | Path, nominal: Nominal, aircraft: Aircraft) -> None:
     columns = {"time": nominal.times}
     columns |= {name: nominal.states[:, i] for i, name in enumerate(aircraft.state_names)}
     columns |= {name: controls[:, i] for i, name in enumerate(aircraft.control_names)}
-    units = dict(zip(aircraft.state_names, aircraft.state_units, strict=True))
-    units |= dict(zip(aircraft.control_names, aircraft.control_units, strict=True)) | {"time": "s"}
+    units = _units(aircraft)
     aside = path.with_name(path.name + ".part")
     if path.suffix == ".csv":
         with open(aside, "w", newline="") as file:
@@ -100,6 +101,12 @@ def write(path: str | Path, nominal: Nominal, aircraft: Aircraft) -> None:
     else:
         raise InputError(f"nominal: {path.name} is neither .csv nor .nc; choose one of them.")
     os.replace(aside, path)
+
+
+def _units(aircraft: Aircraft) -> dict[str, str]:
+    """The columns of a file with their units."""
+    names = ("time", *aircraft.state_names, *aircraft.control_names)
+    return dict(zip(names, ("s", *aircraft.state_units, *aircraft.control_units), strict=True))
 
 
 def _read_csv(path: Path) -> dict[str, Array]:
@@ -128,7 +135,8 @@ def _read_netcdf(path: Path) -> dict[str, Array]:
         with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
             dataset.load()
     except (OSError, ValueError) as error:
-        raise InputError(f"nominal: {path.name} cannot be read as netCDF ({error}).") from None
+        why = error.strerror if isinstance(error, OSError) and error.strerror else "it is of another format"
+        raise InputError(f"nominal: {path.name} cannot be read as netCDF ({why}); write it anew.") from None
     return {
         str(name): np.asarray(variable.values, dtype=float)
         for name, variable in dataset.variables.items()

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aerotube.report.style import COLOURS, new_figure, tidy
+from aerotube.report.style import COLOURS, legend, new_figure, tidy
+from aerotube.report.words import delay_words, gain_words, no_promise
 from aerotube.results import CONDITION_WORDS
 from aerotube.units import DISPLAY
 
@@ -39,7 +40,8 @@ def margins_figure(dataset: xr.Dataset) -> Figure | None:
     for column, law in enumerate(laws):
         chosen = dataset.sel(law=law)
         times = chosen["time"].values[:-1]
-        disks, delays = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
+        disks = figure.add_subplot(grid[0, column])
+        delays = figure.add_subplot(grid[1, column], sharex=disks, sharey=figure.axes[1] if column else None)
         for name, (colour, dashes) in _CONTROLS.items():
             style: dict[str, Any] = {"color": colour, "linestyle": dashes, "label": DISPLAY[name].name}
             disks.plot(times, chosen["disk_margin"].sel(control=name), linewidth=1.4, **style)
@@ -47,14 +49,14 @@ def margins_figure(dataset: xr.Dataset) -> Figure | None:
         disks.plot(times, chosen["disk_margin_all"], color=_ALL, linewidth=2.0, label="all at once")
         delays.plot(times, 1e3 * _finite(chosen["delay_margin_all"]), color=_ALL, linewidth=2.0, label="all at once")
         unstable = np.flatnonzero(chosen["loop_radius"].values >= 1.0)
-        disks.plot(times[unstable], 0.0 * unstable, "x", color=COLOURS["none"], label="not stable by itself")
-        _finish(disks, delays, float(chosen["time"].values[1] - chosen["time"].values[0]), law)
-    handles, labels = disks.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=6, fontsize=9, frameon=False)
+        if unstable.size:
+            disks.plot(times[unstable], 0.0 * unstable, "x", color=COLOURS["none"], label="not stable by itself")
+        _finish(disks, delays, chosen["time"].values, law)
+    legend(figure, columns=6)
     return figure
 
 
-def _finish(disks: Axes, delays: Axes, beat: float, law: str) -> None:
+def _finish(disks: Axes, delays: Axes, times: np.ndarray, law: str) -> None:
     disks.set_ylim(0.0, 2.05)
     disks.set_title(f"{law.replace('_', '-')} law: disk margin", fontsize=10, loc="left")
     tidy(disks, "disk margin α (–)")
@@ -64,9 +66,10 @@ def _finish(disks: Axes, delays: Axes, beat: float, law: str) -> None:
     decibels.set_yticks(2.0 * (factor - 1.0) / (factor + 1.0), [f"±{tick:g} dB" for tick in ticks])
     decibels.tick_params(labelsize=7)
     delays.set_yscale("log")
-    delays.axhline(1e3 * beat, color="#777777", linewidth=0.8)
+    delays.axhline(1e3 * (times[1] - times[0]), color="#777777", linewidth=0.8)
     delays.set_title("delay margin (grey: one beat; no line: no delay does harm)", fontsize=10, loc="left")
     tidy(delays, "delay (ms)")
+    disks.set_xlim(times[0], times[-1])
 
 
 def _finite(values: Any) -> np.ndarray:
@@ -75,10 +78,16 @@ def _finite(values: Any) -> np.ndarray:
 
 
 def containment_figure(dataset: xr.Dataset) -> Figure | None:
-    """Draw how many runs kept to their tubes over time, a panel for each condition; None if none was counted."""
+    """Draw how many runs kept to their tubes over time, a panel for each condition in which tubes promise something.
+
+    None if there is no such condition.
+    """
     if "containment_flown" not in dataset:
         return None
-    conditions = [str(n) for n in dataset["condition"].values if bool(dataset["containment_counted"].sel(condition=n))]
+    inside = dataset["containment_inside"].sum("beat")
+    conditions = [str(name) for name in dataset["condition"].values if int(inside.sel(condition=name))]
+    if not conditions:
+        return None
     figure = new_figure(15, 4.6, "Tubes in flight: all runs of the compensated aircraft, beat by beat")
     margins = {"left": 0.05, "right": 0.99, "bottom": 0.235, "top": 0.84}
     grid = figure.add_gridspec(1, len(conditions), wspace=0.2, **margins)
@@ -97,9 +106,13 @@ def containment_figure(dataset: xr.Dataset) -> Figure | None:
             at.fill_between(edges, _held(low), _held(high), step="post", color=colour, linewidth=0, label=label)
 
         bars(0 * inside, inside - size, "#9CC9E6", "started inside, and kept to the size of the tube")
-        bars(inside - size, inside, COLOURS["none"], "started inside, and left it")
-        bars(inside, 0 * inside + 100.0, "#E4E4E4", "started outside")
+        if size.any():
+            bars(inside - size, inside, COLOURS["none"], "started inside, and left it")
+        if (inside < 100.0).any():
+            bars(inside, 0 * inside + 100.0, "#E4E4E4", "started outside")
         for index, part in enumerate(dataset["part"].values):
+            if not violated[:, index, 1].any():
+                continue
             axes.step(
                 edges, _held(violated[:, index, 1]), where="post", color=COLOURS["nominal"], linewidth=1.3,
                 linestyle=("solid", (0, (1, 1.2)))[index % 2], label=f"left the terminal ellipsoid, {part}",
@@ -108,8 +121,7 @@ def containment_figure(dataset: xr.Dataset) -> Figure | None:
         axes.set_title(CONDITION_WORDS[name], fontsize=10, loc="left")
         tidy(axes, "runs (%)")
         axes.grid(False)
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=3, fontsize=9, frameon=False)
+    legend(figure, columns=3)
     return figure
 
 
@@ -127,7 +139,7 @@ def margins_html(summary: Mapping[str, Any]) -> str:
             return ""
         words = escape(law.replace("_", "-"))
         if margins["all"] is None:
-            rows.append(f'<tr><td class="w">{words}</td><td colspan="6">no frozen loop is stable by itself</td></tr>')
+            rows.append(f'<tr><td class="w">{words}</td><td colspan="7">no frozen loop is stable by itself</td></tr>')
             continue
         for name in (*_CONTROLS, "all"):
             worst = margins[name]
@@ -135,12 +147,13 @@ def margins_html(summary: Mapping[str, Any]) -> str:
             rows.append(
                 f'<tr><td class="w">{words}</td><td class="w">{told}</td><td class="n">{worst["disk"]:.2f}</td>'
                 f'<td class="n">{gain_words(worst["gain_db"])}</td><td class="n">±{worst["phase_deg"]:.0f}°</td>'
-                f'<td class="n">{worst["at_beat"]}</td><td class="n">{delay_words(worst)}</td></tr>'
+                f'<td class="n">{worst["at_beat"]}</td><td class="n">{delay_words(worst)}</td>'
+                f'<td class="n">{"–" if worst["delay_ms"] is None else worst["delay_at_beat"]}</td></tr>'
             )
             words = ""
         if margins["unstable_beats"]:
             rows.append(
-                '<tr><td></td><td colspan="6">beats whose frozen loop is not stable by itself, and has no margin: '
+                '<tr><td></td><td colspan="7">beats whose frozen loop is not stable by itself, and has no margin: '
                 f"{margins['unstable_beats']}</td></tr>"
             )
     if not rows:
@@ -151,19 +164,10 @@ def margins_html(summary: Mapping[str, Any]) -> str:
         "controls at once and independently, may change together before the loop is unstable. The margins of all at "
         "once are lower bounds. A frozen loop says nothing of how the manoeuvre changes it.</p>"
         '<div class="scroll"><table><tr><th>law</th><th>control</th><th class="n">disk margin</th>'
-        '<th class="n">gain</th><th class="n">phase</th><th class="n">at beat</th><th class="n">delay</th></tr>'
+        '<th class="n">gain</th><th class="n">phase</th><th class="n">at beat</th><th class="n">delay</th>'
+        '<th class="n">at beat</th></tr>'
         f"{''.join(rows)}</table></div>"
     )
-
-
-def gain_words(decibels: float | None) -> str:
-    """A gain margin in words: "±4.1 dB"."""
-    return "any" if decibels is None else f"±{decibels:.1f} dB"
-
-
-def delay_words(worst: Mapping[str, Any]) -> str:
-    """A delay margin in words: "44 ms"."""
-    return "any" if worst["delay_ms"] is None else f"{worst['delay_ms']:.0f} ms"
 
 
 def containment_html(summary: Mapping[str, Any]) -> str:
@@ -173,6 +177,13 @@ def containment_html(summary: Mapping[str, Any]) -> str:
         return ""
     rows = []
     for condition, found in counted.items():
+        why = no_promise(summary, condition)
+        if why:
+            rows.append(
+                f'<tr><td class="w">{escape(CONDITION_WORDS[condition])}</td><td class="n">{found["beats"]}</td>'
+                f'<td colspan="5">the tubes promise nothing here: {escape(why)}</td></tr>'
+            )
+            continue
         share = 100.0 * (1.0 - found["started_inside"] / max(found["beats"], 1))
         reasons = ", ".join(f"{reason} {count}" for reason, count in found["outside"].items() if count) or "none"
         first = (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from aerotube.flight import FORMS
-from aerotube.report.style import COLOURS, new_figure, tidy
+from aerotube.report.style import COLOURS, legend, new_figure, tidy
 from aerotube.results.falsified import FORM_WORDS, Attack
 
 if TYPE_CHECKING:
@@ -44,7 +44,8 @@ def tightness_figure(attacks: Mapping[str, Attack]) -> Figure:
                 axes.plot(beats, ratio, color=colour, marker=marker, markersize=3.5, linewidth=0.9, label=part)
             broken = np.argwhere(attack.found.broken[:, :, row])
             places, heights = broken[:, 0], attack.found.ratio[broken[:, 0], broken[:, 1], row]
-            axes.plot(places, heights, "x", color=COLOURS["none"], markersize=8, label="broken")
+            if len(places):
+                axes.plot(places, heights, "x", color=COLOURS["none"], markersize=8, label="broken")
             kinds = ", ".join(sorted({str(kind) for kind in attack.certificate.ravel()}))
             axes.set_title(f"{law.replace('_', '-')} law, {FORM_WORDS[form]} ({kinds})", fontsize=10, loc="left")
             finite = attack.found.ratio[:, :, row][np.isfinite(attack.found.ratio[:, :, row])]
@@ -54,6 +55,5 @@ def tightness_figure(attacks: Mapping[str, Attack]) -> Figure:
                 axes.set_ylim(0.95 * finite.min(initial=1.0), 1.03 * finite.max(initial=1.0))
             tidy(axes, "worst found / bound", time=False)
             axes.set_xlabel("beat", fontsize=9)
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=4, fontsize=9, frameon=False)
+    legend(figure, columns=4)
     return figure

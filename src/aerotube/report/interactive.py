@@ -74,12 +74,12 @@ def tubes_html(dataset: xr.Dataset, law: str) -> str:
             "zaxis": {"title": {"text": DISPLAY[pair[1]].label}},
             "aspectmode": "manual",
             "aspectratio": {"x": 1.7, "y": 1.0, "z": 1.0},
-            "camera": {"eye": {"x": 1.2, "y": -2.3, "z": 0.95}},
+            "camera": {"eye": {"x": 1.1, "y": -2.05, "z": 0.8}, "center": {"x": 0.0, "y": 0.0, "z": -0.1}},
         }
     figure.update_layout(
-        height=900,
-        margin={"l": 0, "r": 0, "t": 60, "b": 0},
-        legend={"orientation": "h", "y": 1.08, "x": 0.0},
+        height=820,
+        margin={"l": 0, "r": 0, "t": 50, "b": 0},
+        legend={"orientation": "h", "y": 1.06, "yanchor": "bottom", "x": 0.0},
         font={"size": 12},
         **scenes,
     )

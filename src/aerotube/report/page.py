@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from aerotube.report import assurance, interactive
 from aerotube.report.style import flown
 from aerotube.report.template import fill, picture
-from aerotube.report.tubes import certificate_words, sampling_words
+from aerotube.report.words import CERTIFICATES, certificate_words, change_words, sampling_words, worse_words
 from aerotube.results import CALM, CONDITION_WORDS, CONTROLLER_WORDS, ESTIMATOR, KEY_SUFFIX, NOISE
 
 if TYPE_CHECKING:
@@ -65,27 +65,22 @@ def _number(spread: Mapping[str, float | None], digits: int = 3) -> str:
     return mean if spread["sd"] is None else f"{mean} ± {spread['sd']:.{digits}f}"
 
 
-def _percent(spread: Mapping[str, float | None]) -> str:
-    if spread["mean"] is None:
-        return "–"
-    mean = f"{100 * spread['mean']:.1f}"
-    return f"{mean} %" if spread["sd"] is None else f"{mean} ± {100 * spread['sd']:.1f} %"
-
-
 def _notice(summary: Mapping[str, Any]) -> str:
     problems = summary["problems"]
-    if not problems and summary["complete"]:
+    worse = worse_words(summary)
+    words = [f"{worse[:1].upper()}{worse[1:]}."] if worse else []
+    if not problems and summary["complete"] and not words:
         return ""
-    words = []
     if summary["interrupted"]:
         words.append("The run was interrupted; what was finished is shown.")
     elif not summary["complete"]:
         words.append("Some parts could not be computed; the rest is shown.")
     if problems:
         words.append(f"{len(problems)} computed failure(s); the nominal alone was flown where there was no law:")
-    items = "".join(f"<li>{escape(problem)}</li>" for problem in problems[:20])
+    listed = "".join(f"<li>{escape(problem)}</li>" for problem in problems[:20])
     more = f"<li>and {len(problems) - 20} more, in summary.json</li>" if len(problems) > 20 else ""
-    return f'<div class="notice">{escape(" ".join(words))}<ul>{items}{more}</ul></div>'
+    items = f"<ul>{listed}{more}</ul>" if problems else ""
+    return f'<div class="notice">{escape(" ".join(words))}{items}</div>'
 
 
 def _cards(summary: Mapping[str, Any]) -> str:
@@ -95,9 +90,10 @@ def _cards(summary: Mapping[str, Any]) -> str:
         if reduction["mean"] is None:
             continue
         errors = summary[f"mean_upper_error{suffix}"]
+        worse = " none" if reduction["mean"] < 0 else ""
         cards.append(
             f'<div class="card"><div class="what">Mean upper error, {CONDITION_WORDS[condition]}</div>'
-            f'<div class="number">−{100 * reduction["mean"]:.1f} %</div>'
+            f'<div class="number{worse}">{change_words(reduction | {"sd": None}, " %")}</div>'
             f'<div class="how">{errors["none"]["mean"]:.3f} → {errors["compensated"]["mean"]:.3f}; '
             f"LQR {_number(errors['lqr']).split(' ')[0]}</div></div>"
         )
@@ -125,8 +121,10 @@ def _errors(dataset: xr.Dataset, summary: Mapping[str, Any]) -> str:
             for name in conditions
         )
         rows.append(f'<tr><td><span class="key {controller}"></span>{escape(words)}</td>{cells}</tr>')
-    for key, words in (("reduction", "reduction by compensation"), ("lqr_reduction", "reduction by LQR")):
-        cells = "".join(f'<td class="n">{_percent(summary[f"{key}{KEY_SUFFIX[name]}"])}</td>' for name in conditions)
+    for key, words in (("reduction", "change by compensation"), ("lqr_reduction", "change by LQR")):
+        cells = "".join(
+            f'<td class="n">{change_words(summary[f"{key}{KEY_SUFFIX[name]}"], " %")}</td>' for name in conditions
+        )
         rows.append(f"<tr><td>{words}</td>{cells}</tr>")
     laws = "".join(
         f"<li>{escape(CONDITION_WORDS[name])}: {escape(CONTROLLER_WORDS[controller])} flies "
@@ -155,7 +153,7 @@ def _errors(dataset: xr.Dataset, summary: Mapping[str, Any]) -> str:
 def _tubes(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
     if "law" not in dataset.dims:
         return ""
-    rows = []
+    rows, chosen = [], ""
     for name, law in summary["laws"].items():
         settings = ", ".join(
             f"{key.replace('_', ' ')} {format(value, 'g') if isinstance(value, float) else value}"
@@ -167,10 +165,16 @@ def _tubes(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str
         more = "–" if beyond is None else f"{beyond:.1f}"
         rows.append(
             f'<tr><td class="w">{escape(name.replace("_", "-"))}</td>'
-            f"<td>{escape(certificate_words(law['certificate']))}</td>"
+            f"<td>{escape(certificate_words(law['certificate'], explained=False))}</td>"
             f'<td class="n">{law["feasible_beats"]} of {summary["beats"]}</td><td class="n">{time}</td>'
-            f'<td class="n">{more}</td><td>{escape(settings)}</td></tr>'
+            f'<td class="n">{more}</td></tr>'
         )
+        chosen += f"<li>{escape(name.replace('_', '-'))}: {escape(settings)}</li>"
+    meant = {
+        kind: sampling_words(law["sampling"]) if kind == "sampled" else f"{kind.capitalize()}: {CERTIFICATES[kind]}."
+        for law in summary["laws"].values()
+        for kind in law["certificate"]
+    }
     first = str(dataset["law"].values[0])
     return (
         "<p>Each beat starts anywhere in the disturbance set; the tube says where the error can be at the end of the "
@@ -178,8 +182,9 @@ def _tubes(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str
         "widen the tube in one state to be rid of an error in another later on.</p>"
         '<div class="scroll"><table><tr><th>law</th><th>certificate of its tubes</th><th class="n">feasible beats</th>'
         '<th class="n">solve, median / p99 (ms)</th><th class="n">beyond the polynomial, median (ms)</th>'
-        "<th>settings</th></tr>"
-        f"{''.join(rows)}</table></div>"
+        f"</tr>{''.join(rows)}</table></div>"
+        f"<p>{escape(' '.join(meant.values()))}</p>"
+        f"<details><summary>Settings of the synthesis</summary><ul>{chosen}</ul></details>"
         f"{_beyond(summary, figures)}"
         f"{interactive.tubes_html(dataset, first)}"
         + _picture(figures, "fig8_tubes", "Tubes and their half-widths over time (counterpart of the paper's Fig. 8).")
@@ -188,10 +193,8 @@ def _tubes(dataset: xr.Dataset, summary: Mapping[str, Any], figures: Mapping[str
 
 def _beyond(summary: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
     """What the tubes hold beyond their polynomials."""
-    rows, words, notes = [], "", []
+    rows, notes = [], []
     for name, law in summary["laws"].items():
-        if "sampled" in law["certificate"]:
-            words = f"<p>{escape(sampling_words(law['sampling']))}</p>"
         notes += [f"{name.replace('_', '-')} law, {note}" for note in law["certificate_notes"]]
         for part, excess in law["tube_excess"].items():
             if excess is None:
@@ -210,7 +213,7 @@ def _beyond(summary: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
         "acts, it is a part of the polynomial already."
     )
     return (
-        f"{words}<p>By how much tubes are larger than their polynomials' (ρ, in percent): median and largest of the "
+        f"<p>By how much tubes are larger than their polynomials' (ρ, in percent): median and largest of the "
         f"beats, then what makes it up, mean of the beats.</p>"
         f'<div class="scroll"><table><tr><th>law</th><th>part</th>{head}</tr>{"".join(rows)}</table></div>'
         f"{less if notes else ''}" + _picture(figures, "tube_shares", caption)

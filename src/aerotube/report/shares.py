@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aerotube.report.style import new_figure, tidy
+from aerotube.report.style import legend, new_figure, tidy
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -27,6 +27,7 @@ def shares_figure(dataset: xr.Dataset) -> Figure | None:
     """Draw the shares of every part's tubes over time, a column for each law; None if nothing beyond was bounded."""
     if "size_share" not in dataset or not np.isfinite(dataset["size_share"].values).any():
         return None
+    present = {name for name in SHARE_STYLES if (np.nan_to_num(dataset["size_share"].sel(share=name)) != 0.0).any()}
     laws, parts = ([str(name) for name in dataset[axis].values] for axis in ("law", "part"))
     figure = new_figure(15, 0.9 + 3.0 * len(parts), "What tubes hold beyond the polynomials of their programs")
     bottom = 0.9 / (0.9 + 3.0 * len(parts))
@@ -35,18 +36,19 @@ def shares_figure(dataset: xr.Dataset) -> Figure | None:
     for row, part in enumerate(parts):
         for column, law in enumerate(laws):
             axes = figure.add_subplot(grid[row, column])
-            _draw(axes, dataset.sel(law=law, part=part))
+            _draw(axes, dataset.sel(law=law, part=part), present)
             axes.set_title(f"{law.replace('_', '-')} law, {part}", fontsize=10, loc="left")
             tidy(axes, "added to the polynomial's ρ (%)")
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=6, fontsize=9, frameon=False)
+    legend(figure, columns=6)
     return figure
 
 
-def _draw(axes: Axes, tubes: xr.Dataset) -> None:
+def _draw(axes: Axes, tubes: xr.Dataset, present: set[str]) -> None:
     edges, polynomial = tubes["time"].values, tubes["size_polynomial"].values
     floor = np.zeros(len(polynomial))
     for name, (colour, hatch, words) in SHARE_STYLES.items():
+        if name not in present:
+            continue
         share = 100.0 * tubes["size_share"].sel(share=name).values / polynomial
         top = floor + np.nan_to_num(share)
         axes.fill_between(

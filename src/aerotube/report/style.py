@@ -47,6 +47,15 @@ def tidy(axes: Axes, label: str, *, time: bool = True) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
+def legend(figure: Figure, columns: int) -> None:
+    """Name below a figure every series that one of its panels shows, once."""
+    found: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    figure.legend([*found.values()], [*found], loc="lower center", ncols=columns, fontsize=9, frameon=False)
+
+
 def shown(name: str, values: Any) -> Array:
     """Convert values of a state or control from SI to the unit in which it is shown."""
     return np.asarray(values, dtype=float) * DISPLAY[name].factor

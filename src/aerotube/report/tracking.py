@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Panels by the paper's letters: the longitudinal ones, then the lateral ones.
+#: Panels in the order of the paper's letters.
 _GRID = (
-    (("a", "elevator"), ("b", "throttle"), ("f", "aileron"), ("g", "rudder")),
-    (("c", "V"), ("d", "alpha"), ("h", "beta"), ("i", "p")),
-    (("e", "q"), ("k", "theta"), ("j", "r"), ("l", "phi")),
+    (("a", "elevator"), ("b", "throttle"), ("c", "V"), ("d", "alpha")),
+    (("e", "q"), ("f", "aileron"), ("g", "rudder"), ("h", "beta")),
+    (("i", "p"), ("j", "r"), ("k", "theta"), ("l", "phi")),
 )
 _CONTROLS = ("elevator", "throttle", "aileron", "rudder")
 

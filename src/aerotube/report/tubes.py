@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from aerotube.report.style import COLOURS, Array, new_figure, tidy
+from aerotube.report.words import certificate_words
 from aerotube.results import CONTROLLER_WORDS
 from aerotube.units import DISPLAY
 
@@ -20,13 +20,11 @@ if TYPE_CHECKING:
 #: The pairs of the paper's four projections, (a) to (d).
 PAIRS = (("alpha", "q"), ("V", "theta"), ("beta", "r"), ("phi", "p"))
 
-CERTIFICATES = {
-    "solver's word": "the solver's own value, which failed the check",
-    "polynomial only": "checked for the polynomial model of the aircraft, which leaves a remainder out",
-    "sampled": "the remainder is bounded with a stated confidence from samples",
-    "rigorous": "the remainder is bounded rigorously",
-    "none": "no tube was found",
-}
+
+HOW_TO_READ = (
+    "A beat starts from an ellipsoid around the disturbance set (around a box of n errors up to √n times as wide). The "
+    "law makes the size in the metric of cost small: half-widths of single errors may grow while that size shrinks."
+)
 
 
 @dataclass(frozen=True)
@@ -101,24 +99,6 @@ def projection(dataset: xr.Dataset, law: str, pair: tuple[str, str]) -> Projecti
     )
 
 
-def certificate_words(counts: Mapping[str, int]) -> str:
-    """Say what the certificates of tubes are worth, from the number of each kind."""
-    total = sum(counts.values())
-    return "; ".join(
-        ("" if count == total else f"{count} of {total} tubes ") + f"{kind} ({CERTIFICATES[kind]})"
-        for kind, count in counts.items()
-    )
-
-
-def sampling_words(sampling: Mapping[str, float]) -> str:
-    """Say what samples are worth."""
-    return (
-        f"Sampled: with a confidence of {100 * sampling['confidence']:g} %, for each beat and part, at most "
-        f"{100 * sampling['share']:.2g} % of the set exceeds the tube, by the distribution of its "
-        f"{sampling['samples']:g} independent samples; searches from the worst of them have raised it further."
-    )
-
-
 def tubes_figure(dataset: xr.Dataset, law: str) -> Figure | None:
     """Draw the tubes of one law with and without compensation.
 
@@ -141,7 +121,7 @@ def tubes_figure(dataset: xr.Dataset, law: str) -> Figure | None:
         f"({law.replace('_', '-')} law)\ncertificate: {certificate_words(counts)}"
     )
     figure = new_figure(16, 10, title)
-    grid = figure.add_gridspec(4, 2, left=0.63, right=0.99, bottom=0.09, top=0.9, hspace=0.5, wspace=0.34)
+    grid = figure.add_gridspec(4, 2, left=0.63, right=0.99, bottom=0.12, top=0.9, hspace=0.52, wspace=0.34)
     for number, pair in enumerate(PAIRS):
         tube = projection(dataset, law, pair)
         corner = (0.283 * (number % 2), 0.5 - 0.45 * (number // 2), 0.265, 0.39)
@@ -151,6 +131,7 @@ def tubes_figure(dataset: xr.Dataset, law: str) -> Figure | None:
             _draw_extent(axes, tube, column, name)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=3, fontsize=10, frameon=False)
+    figure.text(0.5, 0.04, HOW_TO_READ, ha="center", fontsize=9, color="#555555")
     return figure
 
 

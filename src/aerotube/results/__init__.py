@@ -10,12 +10,13 @@ from aerotube.results.record import (
     ESTIMATOR,
     KEY_SUFFIX,
     NOISE,
+    SETTING,
     Case,
     Law,
     Record,
 )
 from aerotube.results.summary import mean_upper_error, summarise
-from aerotube.results.writing import ensure_folder, whole_file, write_json, write_text
+from aerotube.results.writing import ensure_folder, out_folder, whole_file, write_json, write_text
 
 __all__ = [
     "CALM",
@@ -26,12 +27,14 @@ __all__ = [
     "KEY_SUFFIX",
     "NOISE",
     "SCHEMA_VERSION",
+    "SETTING",
     "Case",
     "Law",
     "Record",
     "build",
     "ensure_folder",
     "mean_upper_error",
+    "out_folder",
     "provenance",
     "read",
     "summarise",

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 #: Raised by one in its last place when a variable is added, in its first when one is renamed or removed.
 SCHEMA_VERSION = "2.1"
 
+_TITLE = "aerotube results"
+
 #: Where the unit changes along the last axis: one for each label of the axis, in its order.
 _UNITS_BY_STATE, _UNITS_BY_CONTROL = ", ".join(STATE_UNITS), ", ".join(CONTROL_UNITS)
 
@@ -63,7 +65,7 @@ def build(record: Record) -> xr.Dataset:
         },
         attrs=dict(record.provenance)
         | {
-            "title": "aerotube results: tubes, laws and flights of one scenario",
+            "title": f"{_TITLE}: tubes, laws and flights of one scenario",
             "schema_version": SCHEMA_VERSION,
             "complete": int(not record.interrupted and len(record.cases) == _wanted(record)),
             "interrupted": int(record.interrupted),
@@ -247,7 +249,8 @@ def read(path: str | Path) -> xr.Dataset:
     Raises
     ------
     InputError
-        If there is no such file, it is no netCDF file, or not of a schema that this version reads.
+        If there is no such file, it is no netCDF file, holds something else than the results of a run, or is of a
+        schema that this version does not read.
     """
     import xarray as xr
 
@@ -257,7 +260,13 @@ def read(path: str | Path) -> xr.Dataset:
         with xr.open_dataset(path, engine="h5netcdf") as dataset:
             dataset.load()
     except (OSError, ValueError) as error:
-        raise InputError(f"results {path} cannot be read as netCDF ({error})") from None
+        why = error.strerror if isinstance(error, OSError) and error.strerror else "it is of another format"
+        raise InputError(f"results {path} cannot be read as netCDF ({why})") from None
+    if not str(dataset.attrs.get("title", "")).startswith(_TITLE):
+        raise InputError(
+            f'results {path} holds "{dataset.attrs.get("title", "something else")}", not the results of a run; give '
+            "the results.nc that `aerotube run` writes"
+        )
     version = str(dataset.attrs.get("schema_version", "none"))
     if version.split(".")[0] != SCHEMA_VERSION.split(".")[0]:
         raise InputError(

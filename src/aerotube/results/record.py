@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ CONDITION_WORDS = {
     NOISE: "sensor noise",
     ESTIMATOR: "noise, state estimator",
 }
+#: The setting of the synthesis that is flown in each condition; the estimator takes the noise away.
+SETTING: dict[str, Literal["noise_free", "noise"]] = {CALM: "noise_free", NOISE: "noise", ESTIMATOR: "noise_free"}
 
 
 @dataclass(frozen=True)

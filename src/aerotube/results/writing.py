@@ -55,16 +55,42 @@ def ensure_folder(path: str | Path) -> Path:
     InputError
         If it cannot be made or written to; nothing is left behind.
     """
-    folder = Path(path)
-    made = [p for p in (folder, *folder.parents) if not p.exists()]
+    folder, _ = _made(path)
+    return folder
+
+
+@contextmanager
+def out_folder(path: str | Path) -> Iterator[Path]:
+    """Give a folder to write to, as of `ensure_folder`; those made for it go again if the block leaves them empty."""
+    folder, made = _made(path)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        yield folder
+    finally:
+        _remove(made)
+
+
+def _made(path: str | Path) -> tuple[Path, list[Path]]:
+    """The folder, free of links and dots, and the folders that had to be made for it, the outermost first."""
+    folder = Path(path).resolve()
+    made: list[Path] = []
+    try:
+        for one in (*reversed(folder.parents), folder):
+            if not one.is_dir():
+                one.mkdir()
+                made.append(one)
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".write-test-"):
             pass
     except OSError as error:
-        for created in made:
-            if created.is_dir():
-                created.rmdir()
+        _remove(made)
         reason = error.strerror or type(error).__name__
         raise InputError(f"out folder {path} cannot be written ({reason}); choose another with --out") from None
-    return folder
+    return folder, made
+
+
+def _remove(folders: list[Path]) -> None:
+    """Remove folders that are empty, the innermost first."""
+    for one in reversed(folders):
+        try:
+            one.rmdir()
+        except OSError:  # something is in it
+            return

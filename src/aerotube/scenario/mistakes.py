@@ -15,14 +15,15 @@ _EXPECTED = {
     "bool_type": "true or false",
     "string_type": "text in quotes",
     "list_type": "a list in brackets",
-    "too_short": "a list of at least one value",
     "finite_number": "a finite number",
     "model_type": "a table",
     "model_attributes_type": "a table",
 }
 
 
-def sentence(error: ValidationError, model: type[BaseModel], overrides: Mapping[str, Any]) -> str:
+def sentence(
+    error: ValidationError, model: type[BaseModel], overrides: Mapping[str, Any], typed: Mapping[str, str]
+) -> str:
     """Turn the first problem of a document into one sentence.
 
     Parameters
@@ -32,6 +33,8 @@ def sentence(error: ValidationError, model: type[BaseModel], overrides: Mapping[
         Of the whole document.
     overrides : mapping
         Dotted keys that were set over it on the command line.
+    typed : mapping
+        What was typed there for them, such as ``--noise -1``.
 
     Returns
     -------
@@ -43,6 +46,12 @@ def sentence(error: ValidationError, model: type[BaseModel], overrides: Mapping[
     place = ".".join(str(part) for part in first["loc"])
     kind, given = first["type"], first["input"]
     context = first.get("ctx", {})
+    options = [
+        option
+        for key, option in typed.items()
+        if key == place or (key.startswith(f"{place}.") and f" {key.rsplit('.', 1)[-1]} " in first["msg"])
+    ]
+    got = "" if options else f", not {shown(given)}"
     if kind == "extra_forbidden":
         known = _known_keys(model, first["loc"][:-1])
         close = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
@@ -50,20 +59,27 @@ def sentence(error: ValidationError, model: type[BaseModel], overrides: Mapping[
         words = f"{place} is an unknown key; {hint}"
     elif kind == "missing":
         words = f"{place} is missing; add it"
+        if len(first["loc"]) == 1:
+            words += " (`aerotube init FILE` writes a whole scenario to start from)"
     elif kind in _EXPECTED:
-        words = f"{place} must be {_EXPECTED[kind]}, not {shown(given)}"
+        words = f"{place} must be {_EXPECTED[kind]}{got}"
     elif kind == "literal_error":
-        words = f"{place} must be {context['expected']}, not {shown(given)}"
+        words = f"{place} must be {context['expected']}{got}"
     elif kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
         relation = kind.replace("_than", " than").replace("_equal", " or equal to")
         (bound,) = context.values()
-        words = f"{place} must be {relation} {bound:g}, not {shown(given)}"
+        words = f"{place} must be {relation} {bound:g}{got}"
     elif kind == "value_error":
         message = str(context["error"])
         words = message if len(first["loc"]) <= 1 else f"{place}: {message}"
+    elif kind in ("too_short", "too_long"):
+        count = context.get("min_length", context.get("max_length"))
+        words = f"{place} must have {count} value{'s' * (count != 1)} at {'least' if kind == 'too_short' else 'most'}"
     else:
-        words = f"{place}: {first['msg']} (given: {shown(given)})"
-    if place in overrides:
+        words = f"{place}: {first['msg'][:1].lower()}{first['msg'][1:]}; given is {shown(given)}"
+    if options:
+        words = f"{' or '.join(options)}: {words}"
+    elif place in overrides:
         words += " (set by a command-line option)"
     if len(problems) > 1:
         words += f" (and {len(problems) - 1} more)"

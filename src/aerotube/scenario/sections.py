@@ -8,7 +8,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_valida
 
 from aerotube import inequality
 from aerotube.scenario.mistakes import shown
-from aerotube.units import quantity_parser
+from aerotube.units import parse_quantity, quantity_parser
 
 Speed = Annotated[float, BeforeValidator(quantity_parser("speed"))]
 Angle = Annotated[float, BeforeValidator(quantity_parser("angle"))]
@@ -200,8 +200,38 @@ def _size(value: Any) -> Any:
         names = ", ".join(f'"{name}"' for name in _SIZES)
         raise ValueError(
             f"expected one of {names}, or a mixture with positive weights such as "
-            f"{{worst-case = 1.0, mean-square = 0.1}}, not {shown(value)}"
+            f"{{worst-case = 0.1, mean-square = 1.0}}, not {shown(value)}"
         )
+    return value
+
+
+#: The virtual controls that rates are limited of, with what kind of quantity each rate is.
+_RATES = {"elevator": "angular rate", "thrust": "rate of thrust", "aileron": "angular rate", "rudder": "angular rate"}
+
+
+def _rates(value: Any) -> Any:
+    """Four rates, each a number in SI or a quantity with its unit."""
+    if not isinstance(value, list) or len(value) != len(_RATES):
+        raise ValueError(
+            f"expected four rates, of {', '.join(_RATES)}, with their units or as numbers in rad/s and N/s, such as "
+            f'["60 deg/s", "60000 N/s", "80 deg/s", "120 deg/s"], not {shown(value)}'
+        )
+    found = []
+    for (name, kind), rate in zip(_RATES.items(), value, strict=True):
+        number = isinstance(rate, int | float) and not isinstance(rate, bool)
+        try:
+            found.append(float(rate) if number else parse_quantity(rate, kind))
+        except ValueError as error:
+            raise ValueError(f"the rate of {name}: {error}") from None
+        if not 0.0 < found[-1] < float("inf"):
+            raise ValueError(f"the rate of {name} is {shown(rate)}; give a positive one")
+    return found
+
+
+def _even(value: Any) -> Any:
+    """A degree of sums of squares."""
+    if isinstance(value, int) and not isinstance(value, bool) and (value % 2 or value < 2):
+        raise ValueError(f"expected an even number from 2 on, not {value}")
     return value
 
 
@@ -224,14 +254,14 @@ class Setting(_Section):
     samples: int | None = Field(default=None, ge=100)
     confidence: Annotated[Ratio, Field(gt=0.0, lt=1.0)] | None = None
     sample_seed: int | None = Field(default=None, ge=0)
-    degree: int | None = Field(default=None, ge=2, multiple_of=2)
+    degree: Annotated[int | None, BeforeValidator(_even)] = None
     law_degree: int | None = Field(default=None, ge=1, le=3)
     reuse: int | None = Field(default=None, ge=0)
     formulation: Literal["exact-map", "increment"] | None = None
     steps: Literal["two-step", "three-step"] | None = None
     terminal: Literal["volume", "trace", "rho"] | None = None
     saturation: float | None = Field(default=None, ge=1.0)
-    rate_limits: list[Annotated[float, Field(gt=0.0)]] | None = Field(default=None, min_length=4, max_length=4)
+    rate_limits: Annotated[list[float] | None, BeforeValidator(_rates)] = None
 
 
 class Synthesis(Setting):

@@ -51,7 +51,11 @@ def built_in_text(name: str = "table2") -> str:
     return resources.files("aerotube").joinpath("scenarios", f"{name}.toml").read_text(encoding="utf-8")
 
 
-def load(path: str | Path | None = None, overrides: Mapping[str, Any] | None = None) -> Source:
+def load(
+    path: str | Path | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    typed: Mapping[str, str] | None = None,
+) -> Source:
     """Read and validate a scenario.
 
     Parameters
@@ -60,6 +64,8 @@ def load(path: str | Path | None = None, overrides: Mapping[str, Any] | None = N
         A TOML file; the built-in scenario (Table 2) without it.
     overrides : mapping, optional
         Dotted keys with values as they would be written in the file, set over the text.
+    typed : mapping, optional
+        What was typed on the command line for them, to be named in a mistake.
 
     Returns
     -------
@@ -84,7 +90,7 @@ def load(path: str | Path | None = None, overrides: Mapping[str, Any] | None = N
             raise InputError(f"scenario {name} is not text in UTF-8") from None
         except OSError as error:
             raise InputError(f"scenario {name} cannot be read: {error.strerror}") from None
-    return parse(text, name=name, folder=folder, overrides=overrides)
+    return parse(text, name=name, folder=folder, overrides=overrides, typed=typed)
 
 
 def parse(
@@ -93,6 +99,7 @@ def parse(
     name: str = "scenario",
     folder: Path | None = None,
     overrides: Mapping[str, Any] | None = None,
+    typed: Mapping[str, str] | None = None,
 ) -> Source:
     """Validate the TOML text of a scenario; see `load`."""
     try:
@@ -105,7 +112,8 @@ def parse(
     try:
         scenario = Scenario.model_validate(document)
     except ValidationError as error:
-        raise InputError(f"scenario {name}: {sentence(error, Scenario, chosen)}") from None
+        words = sentence(error, Scenario, chosen, typed or {})
+        raise InputError(words if words.startswith("--") else f"scenario {name}: {words}") from None
     return Source(scenario, name, text, chosen, folder or Path.cwd())
 
 

@@ -9,7 +9,7 @@ from aerotube import compensation, flight, job, results, scenario
 from aerotube.compensation import Design, SynthesisSettings
 from aerotube.errors import ComputationError
 from aerotube.preparation import estimated_parameters, prepare
-from aerotube.results import CALM, ESTIMATOR, NOISE
+from aerotube.results import CALM, ESTIMATOR, NOISE, SETTING
 from aerotube.units import DISPLAY
 
 if TYPE_CHECKING:
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 #: The conditions of flight, in the order of the tables.
 CONDITIONS = (CALM, NOISE, ESTIMATOR)
 
-#: The setting of the synthesis that is flown in each; the estimator takes the noise away.
-SETTING = {CALM: "noise_free", NOISE: "noise", ESTIMATOR: "noise_free"}
+# Of a study that needs the main job, the share of time that this takes.
+_MAIN = 0.6
 
 #: Told what is being done and which share of a study is done.
 Tell = Callable[[str, float], None]
@@ -88,7 +88,7 @@ class Bench:
         """
         if self._results is None:
             record = job.new_record(self.prepared)
-            job.compute(self.prepared, record, self.workers, self.tell)
+            job.compute(self.prepared, record, self.workers, lambda words, share: self.tell(words, _MAIN * share))
             if record.problems:
                 raise ComputationError(f"the main job has failures, the first: {record.problems[0]}")
             self._results = results.build(record)

@@ -44,7 +44,7 @@ def study(bench: Bench) -> Outcome:
             compare(f"change{end}", f"decoupled over coupled, {words}", 0.30 / 0.33, changes[condition], "1"),
         ]
         test = welch(errors[_DECOUPLED], errors[_COUPLED]) if len(bench.seeds) > 1 else None
-        p = "–" if test is None else f"{test.p:.2g}"
+        p = "–" if test is None else test.words
         lines.append((words, spread(errors[_COUPLED]), spread(errors[_DECOUPLED]), p))
     calm, noisy = (changes[condition].mean() - 1.0 for condition in (CALM, NOISE))
     return Outcome(

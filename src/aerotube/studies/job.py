@@ -97,7 +97,8 @@ def run(
     Returns
     -------
     Done
-        A study that fails is named in it, the others are done all the same.
+        A study that fails is named in it, the others are done all the same. Nothing is written if the first was
+        interrupted.
 
     Raises
     ------
@@ -106,7 +107,21 @@ def run(
     """
     wanted = chosen(names)
     bench = Bench(runs, seeds, workers)
-    target = results.ensure_folder(folder)
+    with results.out_folder(folder) as target:
+        done = _all(wanted, bench, target, progress)
+        try:
+            if done.verdicts or not done.interrupted:
+                gather(target)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"interrupted while writing; the finished studies are in {folder}, and `aerotube study` gathers them "
+                "when it is run there again"
+            ) from None
+    return done
+
+
+def _all(wanted: list[str], bench: Bench, target: Path, progress: Tell | None) -> Done:
+    """Do studies one after the other, until they are interrupted."""
     total = sum(STUDIES[name].share for name in wanted)
     done, before = Done(), 0.0
     try:
@@ -118,7 +133,6 @@ def run(
             before += weight
     except KeyboardInterrupt:
         done.interrupted = True
-    gather(target)
     return done
 
 
@@ -127,7 +141,7 @@ def _telling(progress: Tell | None, name: str, before: float, weight: float) -> 
     last: list[tuple[str, float]] = []
 
     def tell(words: str, share: float) -> None:
-        now = words, before + share * weight
+        now = words, max(before + share * weight, last[0][1] if last else 0.0)
         if progress is None or (last and last[0][0] == words and abs(now[1] - last[0][1]) < 0.01):
             return
         last[:] = [now]

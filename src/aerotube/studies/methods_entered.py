@@ -15,8 +15,8 @@ from aerotube.compensation import LinearLaw, SynthesisSettings
 from aerotube.dynamics import ErrorCoordinates, linearise
 from aerotube.flight import Law
 from aerotube.nominal import Nominal
-from aerotube.results import CONDITION_WORDS
-from aerotube.studies.bench import CONDITIONS, SETTING, Bench
+from aerotube.results import CONDITION_WORDS, SETTING
+from aerotube.studies.bench import CONDITIONS, Bench
 
 METHODS = {
     "none": "no compensation",

@@ -140,4 +140,6 @@ def _default_verdict(row: Compared) -> str:
         return "not reached"
     if row.ratio is None:
         return "the paper gives no number"
-    return "as the paper's" if abs(row.ratio - 1.0) < 5e-3 else f"{row.ratio:.3g} of the paper's"
+    if abs(row.ratio - 1.0) < 5e-3:
+        return "as the paper's"
+    return f"{'smaller' if row.ratio < 1.0 else 'larger'} than the paper's"

@@ -10,6 +10,8 @@ from typing import Any
 from aerotube import __version__
 from aerotube.report.template import fill, picture
 
+_ROUNDING = 1e-9  # what is smaller is shown as zero
+
 
 def build_page(finished: Sequence[Mapping[str, Any]], folder: Path) -> str:
     """Build the page.
@@ -61,16 +63,21 @@ def _section(one: Mapping[str, Any], folder: Path) -> str:
 
 
 def _compared(rows: Sequence[Mapping[str, Any]]) -> str:
+    # Where the paper gives no numbers there is nothing to put in their columns.
+    beside = any(row["paper"] is not None for row in rows)
+
+    def numbers(row: Mapping[str, Any]) -> str:
+        told = (_number(row["paper"]), _with_spread(row), _number(row["ratio"])) if beside else (_with_spread(row),)
+        return "".join(f'<td class="n">{one}</td>' for one in told)
+
     cells = "".join(
-        f"<tr><td>{escape(row['words'])}</td><td>{escape(row['unit'])}</td>"
-        f'<td class="n">{_number(row["paper"])}</td><td class="n">{_with_spread(row)}</td>'
-        f'<td class="n">{_number(row["ratio"])}</td><td>{escape(row["verdict"])}</td></tr>'
+        f"<tr><td>{escape(row['words'])}</td><td>{escape(row['unit'])}</td>{numbers(row)}"
+        f"<td>{escape(row['verdict'])}</td></tr>"
         for row in rows
     )
-    return (
-        '<div class="scroll"><table><tr><th></th><th>unit</th><th class="n">the paper</th><th class="n">ours</th>'
-        f'<th class="n">ratio</th><th></th></tr>{cells}</table></div>'
-    )
+    heads = ("the paper", "ours", "ratio") if beside else ("ours",)
+    head = "".join(f'<th class="n">{words}</th>' for words in heads)
+    return f'<div class="scroll"><table><tr><th></th><th>unit</th>{head}<th></th></tr>{cells}</table></div>'
 
 
 def _table(table: Mapping[str, Any]) -> str:
@@ -90,7 +97,9 @@ def _with_spread(row: Mapping[str, Any]) -> str:
 def _number(value: float | None, digits: int = 3) -> str:
     if value is None:
         return "–"
-    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
+    if abs(value) < _ROUNDING:
+        return "0"
+    if 1e-5 <= abs(value) < 1e5:
         places = max(0, digits - 1 - _magnitude(value))
         return f"{value:.{places}f}"
     return f"{value:.{digits - 1}e}"

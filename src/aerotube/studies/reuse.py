@@ -36,8 +36,8 @@ def study(bench: Bench) -> Outcome:
             compare(f"change{end}", f"increase by one-step reuse, {words}", 0.03, changes[condition], "1"),
         ]
         lines.append((words, *(spread(errors[k]) for k in STEPS)))
-    mean = changes[CALM].mean()
-    most = max(change.mean() for change in changes.values())
+    mean = round(float(changes[CALM].mean()), 3) + 0.0  # no minus before a zero
+    most = round(max(float(change.mean()) for change in changes.values()), 3) + 0.0
     return Outcome(
         dataset=dataset,
         figure=bands_figure(

@@ -35,6 +35,11 @@ class Welch:
     p: float
 
     @property
+    def words(self) -> str:
+        """The probability in words."""
+        return "below 0.001" if self.p < 1e-3 else f"{self.p:.2g}"
+
+    @property
     def significant(self) -> bool:
         """Whether the means differ at the paper's level."""
         return self.p < LEVEL

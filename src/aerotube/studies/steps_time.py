@@ -204,7 +204,7 @@ def _dataset(found: dict[tuple[str, str], _Times]) -> xr.Dataset:
 
 def _tests(tests: dict[tuple[str, int], Welch]) -> Table:
     rows = tuple(
-        (form, str(threads), f"{test.difference:.2f}", f"{test.p:.2g}", "yes" if test.significant else "no")
+        (form, str(threads), f"{test.difference:.2f}", test.words, "yes" if test.significant else "no")
         for (form, threads), test in tests.items()
     )
     head = ("form", "threads", "three-step less two-step (ms)", "p", "significant at 5 %")

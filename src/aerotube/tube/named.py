@@ -26,6 +26,7 @@ def disturbance_set(
     *,
     matrix: ArrayLike | None = None,
     inequalities: Sequence[Mapping[tuple[int, ...], float]] = (),
+    texts: Sequence[str] = (),
 ) -> DisturbanceSet:
     """Make a disturbance set.
 
@@ -42,6 +43,8 @@ def disturbance_set(
     inequalities : sequence of mapping of exponents (8,) to coefficients
         Polynomials of errors in units of the half-widths, as of `aerotube.inequality.parse`, that are not negative on
         the set; linear ones for a polytope.
+    texts : sequence of str, optional
+        The inequalities as they were written, to be quoted in a mistake.
 
     Returns
     -------
@@ -62,16 +65,17 @@ def disturbance_set(
         return SemialgebraicSet(widths, tuple(_polynomial(terms, widths) for terms in inequalities), relative)
     normals, offsets = [np.eye(8), -np.eye(8)], [np.ones(16)]
     for i, terms in enumerate(inequalities):
+        which = f'"{texts[i]}"' if texts else f"inequality {i}"
         if max(map(sum, terms)) > 1:
             raise InputError(
-                f"disturbance: inequality {i} of the polytope is not linear; write it without powers and products, or "
+                f"disturbance: {which} of the polytope is not linear; write it without powers and products, or "
                 "name the set semialgebraic."
             )
         row = [-terms.get(tuple(int(i == j) for j in range(8)), 0.0) for i in range(8)]
         offset = terms.get((0,) * 8, 0.0)
         if not offset > 0:
             raise InputError(
-                f"disturbance: inequality {i} of the polytope does not leave the undisturbed state inside; it must "
+                f"disturbance: {which} of the polytope does not leave the undisturbed state inside; it must "
                 f"hold with room where all of {', '.join(ERROR_NAMES)} are zero."
             )
         normals.append(np.array([row]))
