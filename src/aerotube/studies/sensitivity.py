@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from aerotube import compensation
 from aerotube.aircraft.rigid_body import velocity_from_flow
 from aerotube.compensation import SynthesisSettings
+from aerotube.compensation.groundwork import check_reach
+from aerotube.dynamics import ErrorCoordinates
 from aerotube.errors import ComputationError
 from aerotube.nominal import Nominal, constant_controls
 from aerotube.numerics import quaternion_from_euler
@@ -91,7 +93,8 @@ def study(bench: Bench) -> Outcome:
         ),
         notes=(
             *_NOTES,
-            f"{rejected} pairs were drawn again because a nominal left the aircraft's tables within a beat.",
+            f"{rejected} pairs were drawn again because a nominal, or an error its tube begins with, left "
+            "the aircraft's tables.",
         ),
         tables=(_table(changes, orders), _other_size(moved)),
     )
@@ -195,8 +198,11 @@ def _nominal(bench: Bench, point: Array) -> Nominal:
 
 
 def _inside(bench: Bench, point: Array) -> bool:
+    ready, settings = bench.prepared, bench.settings(CALM)
     try:
-        _nominal(bench, point).check(bench.prepared.model)
+        nominal = _nominal(bench, point)
+        nominal.check(ready.model)
+        check_reach(ready.model, nominal.states[:-1], ErrorCoordinates(settings.attitude), ready.disturbance, settings)
     except (ValueError, ComputationError):
         return False
     return True
