@@ -10,13 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from aerotube import flight
-from aerotube.cli import cli
 from aerotube.compensation import KINDS
 from aerotube.dynamics import ErrorCoordinates
-from aerotube.errors import InputError
 from aerotube.preparation import prepare
 from aerotube.runtime import flight as flights
 from aerotube.runtime import log
@@ -312,26 +309,3 @@ def test_illegal_commands_are_not_flown(undisturbed):
     for wrong in ((np.nan, 0.5, 0.0, 0.0), (0.0, 1.5, 0.0, 0.0), (9.0, 0.5, 0.0, 0.0)):
         assert not plant.command(wrong)
     assert plant.illegal == 3
-
-
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [({"speed": 0.0}, "speed"), ({"window": 5, "reuse": 1}, "window"), ({"faults": 5, "speed": np.inf}, "clock")],
-)
-def test_mistakes_are_told(wrong, words):
-    with pytest.raises(InputError, match=words):
-        Options(**wrong)
-
-
-def test_the_command_line_flies_and_replays(tmp_path):
-    scenario = tmp_path / "short.toml"
-    from aerotube.scenario import built_in_text
-
-    scenario.write_text(built_in_text().replace('horizon = "3 s"', 'horizon = "0.6 s"'))
-    out = tmp_path / "out"
-    run = CliRunner().invoke(cli, ["fly", str(scenario), "--speed", "inf", "--out", str(out), "--udp"])
-    assert run.exit_code == 0, run.output
-    assert {path.name for path in out.iterdir()} == {"flight.nc", "fly.json", "figures", "report.html"}
-    again = CliRunner().invoke(cli, ["fly", "--replay", str(out / "flight.nc")])
-    assert again.exit_code == 0, again.output
-    assert "same numbers" in again.output

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 def fly(
+    context: typer.Context,
     scenario: Annotated[
         Path | None, typer.Argument(help="A scenario file, as `aerotube init` writes one; Table 2 without it.")
     ] = None,
@@ -64,7 +65,8 @@ def fly(
     ] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No live view.")] = False,
     replay: Annotated[
-        Path | None, typer.Option(metavar="FLIGHT.NC", help="Fly a log again and compare, instead of a new flight.")
+        Path | None,
+        typer.Option(metavar="FLIGHT.NC", help="Fly a log again and compare; takes nothing else and writes nothing."),
     ] = None,
 ) -> None:
     """Fly a scenario against the clock: the aircraft in its own process, laws computed while it flies.
@@ -76,7 +78,7 @@ def fly(
     Example: aerotube fly --duration 60
     """
     if replay is not None:
-        _replay(replay)
+        _replay(replay, [name for name in _given(context) if name != "--replay"])
         return
     from aerotube.runtime.options import Options
 
@@ -87,7 +89,7 @@ def fly(
         reuse=reuse,
         estimator=estimator,
         noise=noise,
-        deviation=_deviation(deviation),
+        deviation=cast(Any, deviation),  # one that there is not is refused with the other options
         gusts=gusts,
         delay=delay,
         actuators=actuators,
@@ -101,12 +103,6 @@ def fly(
     )
     overrides = {"synthesis.algorithm": algorithm, "nominal.beat": None if beat is None else f"{beat!r} s"}
     _fly(scenario, {key: value for key, value in overrides.items() if value is not None}, options, out, headless)
-
-
-def _deviation(kind: str) -> Any:
-    if kind not in ("paper", "box"):
-        raise InputError(f"--deviation: there is no {kind!r}; choose paper or box")
-    return kind
 
 
 def _fly(scenario: Path | None, overrides: dict[str, str], options: Options, out: Path, headless: bool) -> None:
@@ -141,11 +137,27 @@ def _shown(headless: bool) -> tuple[Any, Any]:
     return console.print, LiveView(console)
 
 
-def _replay(path: Path) -> None:
+def _given(context: typer.Context) -> list[str]:
+    """The arguments and options that stand on the command line, by name."""
+    given = [p for p in context.command.params if _stands(context, p.name)]
+    return [p.opts[0] if p.param_type_name == "option" else str(p.name) for p in given]
+
+
+def _stands(context: typer.Context, name: str | None) -> bool:
+    source = context.get_parameter_source(name) if name else None
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def _replay(path: Path, others: list[str]) -> None:
     from aerotube.runtime import log, replay
 
     with interruptible():
-        found = replay.replay(log.read(path))
+        dataset = log.read(path)
+        if others:
+            raise InputError(
+                f"--replay flies {path} again as it was flown and writes nothing; leave out {', '.join(others)}"
+            )
+        found = replay.replay(dataset)
     same = all(found[key] in (0.0, None) for key in ("state", "command"))
     typer.echo(
         f"{path}: "

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 #: Raised by one in its last place when a variable is added, in its first when one is renamed or removed.
 SCHEMA_VERSION = "2.0"
+TITLE = "aerotube flight log"
 
 
 def to_dataset(flown: Flown) -> xr.Dataset:
@@ -81,7 +82,7 @@ def _described(flown: Flown, start: float) -> xr.Dataset:
         },
         attrs=provenance(flown.prepared.source)
         | {
-            "title": "aerotube flight log",
+            "title": TITLE,
             "schema_version": SCHEMA_VERSION,
             "options": json.dumps(asdict(flown.options)),
             "summary": json.dumps(summarise(flown)),
@@ -185,8 +186,11 @@ def read(path: Path) -> xr.Dataset:
         raise InputError(f"log {path}: no such file; `aerotube fly` writes one") from None
     except (OSError, ValueError) as error:
         raise InputError(f"log {path} cannot be read ({str(error).splitlines()[0]}); give a flight.nc") from None
-    if str(dataset.attrs.get("schema_version", "")).split(".")[0] != SCHEMA_VERSION.split(".")[0] or (
-        "command" not in dataset
-    ):
-        raise InputError(f"log {path} is no flight's, or of another version; give a flight.nc of this version")
+    if dataset.attrs.get("title") != TITLE:
+        raise InputError(f"{path} is no log of a flight; give a flight.nc, as `aerotube fly` writes one")
+    version = str(dataset.attrs.get("schema_version", ""))
+    if version.split(".")[0] != SCHEMA_VERSION.split(".")[0]:
+        raise InputError(
+            f"log {path} is of version {version or '?'}, this program reads {SCHEMA_VERSION}; fly the scenario again"
+        )
     return dataset

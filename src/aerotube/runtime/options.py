@@ -21,6 +21,8 @@ from aerotube.runtime.world import World
 
 #: The paper's runtime case (its Section 4.6): 3 m/s too slow, 0.3 degrees of sideslip, everything else on the nominal.
 PAPER_DEVIATION = np.array([-3.0, 0.0, 0.0, 0.0, np.radians(0.3), 0.0, 0.0, 0.0])
+DEVIATIONS = ("paper", "box")
+SEVERITIES = ("none", "light", "moderate", "severe")
 _GATE = 20.0  # half-widths of the disturbance from what was expected, beyond which no measurement is believed
 
 
@@ -90,27 +92,35 @@ class Options:
     around: float = 3.0
 
     def __post_init__(self) -> None:
+        least = {"reuse": 0, "window": 1, "delay": 0, "workers": 1, "substeps": 1, "faults": 0}
+        few = next((name for name, bound in least.items() if getattr(self, name) < bound), None)
         wrong = ""
         if not self.speed > 0:
             wrong = f"speed is {self.speed:g}; give how many seconds are flown in one second, or inf"
         elif self.duration is not None and not (np.isfinite(self.duration) and self.duration > 0):
             wrong = f"duration is {self.duration:g} s; give a positive time"
-        elif self.window < 1 or self.reuse < 0 or self.delay < 0 or self.workers < 1 or self.substeps < 1:
-            wrong = "window, workers and substeps must be at least 1, reuse and delay not negative"
+        elif few is not None:
+            wrong = f"{few} is {getattr(self, few)}; give {least[few]} or more"
+        elif self.deviation not in DEVIATIONS:
+            wrong = f"there is no deviation {self.deviation!r}; choose {_listed(DEVIATIONS)}"
+        elif self.gusts is not None and self.gusts not in SEVERITIES:
+            wrong = f"there are no gusts {self.gusts!r}; choose {_listed(SEVERITIES)}"
         elif self.window % (self.reuse + 1):
             wrong = f"a window of {self.window} beats is no whole number of laws for {self.reuse + 1} beats each"
         elif self.faults and not np.isfinite(self.speed):
             wrong = "faults need a clock; choose a speed"
-        elif self.faults < 0:
-            wrong = f"{self.faults} faults are asked for; give none or more"
         elif self.tolerance is not None and not self.tolerance >= 0:
-            wrong = f"the tolerance is {self.tolerance:g}; it must not be negative"
+            wrong = f"event is {self.tolerance:g}; give the growth of a tube that is tolerated, 0 or more"
         elif self.noise is not None and not (np.isfinite(self.noise) and self.noise >= 0):
             wrong = f"noise is {self.noise:g}; give a share of the disturbance box, not negative"
         elif self.port is not None and not 1 <= self.port <= 65535:
             wrong = f"there is no port {self.port}; give one from 1 to 65535"
         if wrong:
             raise InputError(f"flight: {wrong}.")
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def make_world(prepared: Prepared, options: Options) -> World:
