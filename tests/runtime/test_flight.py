@@ -77,7 +77,9 @@ def test_the_summary_has_its_keys(undisturbed):
     assert list(summary) == [
         "beats",
         "missed_deadlines",
+        "missed_explained",
         "missed_unexplained",
+        "faults",
         "fallbacks",
         "certificates",
         "promises",
@@ -150,7 +152,8 @@ def test_faults_are_survived_logged_and_never_leave_the_limits(chosen):
     flown = fly(prepared, options)
     record, faults = flown.record, flown.faults
     assert record.flown == 720
-    assert sum(faults.injected[kind] for kind in faults.injected if kind not in ("kill", "stall")) > 200
+    assert sum(faults.injected.values()) == 300
+    assert sum(summarise(flown)["faults"].values()) == 300
     commands = record.command[np.isfinite(record.command[:, 0])]
     assert (commands >= flown.world.aircraft.control_lower).all()
     assert (commands <= flown.world.aircraft.control_upper).all()
@@ -192,9 +195,24 @@ def test_tubes_promise_nothing_of_what_they_do_not_know(prepared, undisturbed):
     assert promises(replace(undisturbed, options=replace(undisturbed.options, delay=1))) is None
 
 
+@pytest.mark.parametrize("kind", ["kill", "stall"])
+def test_deadlines_missed_for_an_injected_fault_are_counted_apart(prepared, monkeypatch, kind):
+    monkeypatch.setattr(flights, "_faults", lambda *_: Faults({}, {6: kind}, stall=2.0))
+    flown = fly(prepared, replace(CALM, speed=4.0, faults=1))
+    assert flown.faults.injected == {kind: 1}
+    late = flown.record.law_late
+    assert deadlines(flown).by_fault.tolist() == [g >= 6 and bool(late[g]) for g in range(12)]
+    summary = summarise(flown)
+    assert summary["faults"] == {kind: 1}
+    explained = summary["missed_explained"]
+    assert explained["fault"] == late[6:].sum()
+    assert kind == "kill" or explained["fault"], "the others are patient for longer than the window has"
+    assert summary["missed_deadlines"] == sum(explained.values()) + summary["missed_unexplained"]
+
+
 @pytest.mark.parametrize("kind", ["drop", "delay", "corrupt", "nan", "garbage"])
 def test_a_flight_goes_on_though_its_first_measurement_is_hit(prepared, monkeypatch, kind):
-    monkeypatch.setattr(flights, "_faults", lambda *_: Faults(1.0, 0, worker_share=0.0, limit=1, kinds=(kind,)))
+    monkeypatch.setattr(flights, "_faults", lambda *_: Faults({0: kind}))
     flown = fly(prepared, replace(CALM, speed=4.0, faults=1))
     assert flown.faults.by_beat == {0: kind}
     assert flown.record.flown == prepared.nominal.beats

@@ -56,7 +56,9 @@ def fly(
         float | None,
         typer.Option(metavar="SHARE", help="Keep a law while its certified tube on the new nominal grows by no more."),
     ] = None,
-    faults: Annotated[int, typer.Option(metavar="N", help="Inject so many faults of link, sensors and workers.")] = 0,
+    faults: Annotated[
+        int, typer.Option(metavar="N", help="Inject so many faults in all: of the link, the sensors and the workers.")
+    ] = 0,
     seed: Annotated[int, typer.Option(help="Of noise, gusts, guidance and faults.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Threads that solve.")] = 2,
     udp: Annotated[bool, typer.Option("--udp", help="Talk to the aircraft over UDP on loopback.")] = False,
@@ -174,33 +176,9 @@ def _replay(path: Path, others: list[str]) -> None:
 def _print(summary: dict[str, Any], out: Path) -> None:
     from rich.console import Console
 
+    from aerotube.runtime.words import told
+
     console = Console(highlight=False)
-    fallbacks = {name.replace("_", " "): count for name, count in summary["fallbacks"].items() if count}
-    words = [
-        f"{summary['beats']} beats; {summary['missed_deadlines']} missed deadlines, "
-        f"{summary['missed_unexplained']} of them not explained by the machine",
-        "fallbacks: " + (", ".join(f"{count} {name}" for name, count in fallbacks.items()) or "none"),
-    ]
-    kinds = [f"{count} {name}" for name, count in summary["certificates"].items() if count]
-    words.append("certificates of the beats' laws: " + (", ".join(kinds) or "none"))
-    kept = summary["promises"]
-    if kept is not None:
-        left = kept["left"] or "none"
-        words.append(f"{kept['promised']} beats started inside the sets of their tubes; of these {left} ended outside")
-    for key, name in (("mae", "mean absolute error"), ("rmse", "root mean square error")):
-        none, compensated = summary[key]["none"], summary[key]["compensated"]
-        if none and compensated is not None:
-            share = 100 * (1 - compensated / none)
-            words.append(f"{name}: {none:.3f} without compensation, {compensated:.3f} with it (−{share:.0f} %)")
-    span = summary["latency_us"]
-    if span["median"] is not None:
-        words.append(f"measurement to command: {span['median']:.0f} µs median, {span['p99']:.0f} µs 99th percentile")
-    if summary["realtime_factor"] is not None:
-        words.append(f"windows are computed {summary['realtime_factor']:.1f} times as fast as they are flown")
-    spent = summary["window_ms"]
-    if spent is not None:
-        parts = [f"{spent[name]:.0f} to {name}" for name in ("check", "design", "certify") if spent[name]]
-        words.append(f"a whole window takes {spent['whole']:.0f} ms (median): {', '.join(parts)}")
-    for line in words:
+    for line in told(summary):
         console.print(line, soft_wrap=True)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)

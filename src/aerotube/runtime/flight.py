@@ -27,6 +27,7 @@ from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Rung
 from aerotube.runtime.options import Options, make_commander, make_estimator, make_task, make_world
 from aerotube.runtime.pilot import Pilot
+from aerotube.runtime.planner import window_starts
 from aerotube.runtime.record import Record
 from aerotube.runtime.session import Session
 from aerotube.runtime.task import Task
@@ -114,13 +115,12 @@ def fly(
     guidance = Guidance(prepared.rigid, prepared.nominal, options.replan, options.seed)
     estimator = make_estimator(prepared, options)
     commander = make_commander(prepared, estimator, task.form)
-    beats = world.manoeuvres * world.beats
+    beats, faults = world.manoeuvres * world.beats, _faults(options, world)
     say("starting the aircraft and the watchdog")
     own = options.port is None
     home, away = _link(options)
     process, report = _start(world, away, options) if own else (None, None)
     watchdog = Watchdog() if options.link != "thread" else None
-    faults = _faults(options, world)
     workers = Workers(2)  # a window's, and one more so that a stalled one does not hold up the next window
     channel: Channel = home if faults is None else FaultyChannel(home, faults)
     session = Session(channel, world.token if own else None)
@@ -158,9 +158,12 @@ def fly(
 def _faults(options: Options, world: World) -> Faults | None:
     if not options.faults:
         return None
-    share = min(1.0, 1.2 * options.faults / (world.manoeuvres * world.beats))
     lead = options.window * world.dt / options.speed
-    return Faults(share, options.seed, worker_share=0.2, stall=3.0 * lead, limit=options.faults)
+    windows = window_starts(world.manoeuvres * world.beats, world.beats, options.window)
+    # the first window is computed before take-off
+    return Faults.spread(
+        options.faults, world.manoeuvres * world.beats, windows[1:], seed=options.seed, stall=3.0 * lead
+    )
 
 
 def _link(options: Options) -> tuple[Any, Any]:

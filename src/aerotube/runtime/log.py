@@ -87,7 +87,6 @@ def _described(flown: Flown, start: float) -> xr.Dataset:
             "options": json.dumps(asdict(flown.options)),
             "summary": json.dumps(summarise(flown)),
             "refused": json.dumps(dict(record.refused)),
-            "injected": json.dumps({} if flown.faults is None else dict(flown.faults.injected)),
             "events": json.dumps([[round(when - start, 6), words] for when, words in record.events]),
             "certified": json.dumps(certified),
             "warm_up_seconds": flown.warm_up,
@@ -131,7 +130,7 @@ def _put_beats(out: xr.Dataset, flown: Flown, start: float) -> None:
         put(name, ("beat",), getattr(record, name)[:count] - start, words, "s")
     put("law_late", ("beat",), record.law_late[:count], "the beat's window was not there")
     put("missed", ("beat",), missed.missed, "deadline missed")
-    put("unexplained", ("beat",), missed.unexplained, "missed, and the machine stole less than the lateness")
+    put("unexplained", ("beat",), missed.unexplained, "missed, and neither a fault nor the machine explains it")
     put("fault", ("beat",), [injected.get(g, "") for g in range(count)], "fault injected into the measurement")
 
 

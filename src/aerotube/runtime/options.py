@@ -56,7 +56,7 @@ class Options:
     tolerance : float or None
         Event-triggered recomputation: see `aerotube.runtime.windows`.
     faults : int
-        Faults of link and sensors to inject, and of workers with them.
+        Faults of link, sensors and workers to inject, all together.
     seed : int
         Of draws, faults and guidance.
     workers : int

@@ -14,6 +14,7 @@ from aerotube.runtime import log
 from aerotube.runtime.limits import what_limits
 from aerotube.runtime.outcome import summarise
 from aerotube.runtime.pictures import flight_figure, timeline_figure
+from aerotube.runtime.words import injected
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -126,9 +127,14 @@ def _cards(summary: dict[str, Any]) -> str:
         if none and compensated is not None:
             share = f"−{100 * (1 - compensated / none):.0f} %"
             cards.append((words, share, f"{none:.3f} → {compensated:.3f} (Eq. 18, deg)"))
-    missed, unexplained = summary["missed_deadlines"], summary["missed_unexplained"]
+    number, explained = str(summary["missed_deadlines"]), summary["missed_explained"]
     cards.append(
-        ("Missed deadlines", str(missed), f"of {summary['beats']} beats; {unexplained} not the machine's doing")
+        (
+            "Missed deadlines",
+            number,
+            f"of {summary['beats']} beats; {explained['fault']} by injected faults, {explained['machine']} by the "
+            f"machine, {summary['missed_unexplained']} unexplained",
+        )
     )
     span, factor = summary["latency_us"], summary["realtime_factor"]
     if span["median"] is not None:
@@ -177,8 +183,9 @@ def _deadlines(dataset: xr.Dataset, summary: dict[str, Any], figures: dict[str, 
     longest = 1e3 * float(dataset["theft"].values[:, 1].max()) if dataset.sizes["theft_number"] else 0.0
     return (
         "<p>A beat misses its deadline if its laws are not there when its measurement is, or if its command is not "
-        "with the aircraft within 30 % of the beat. A miss is explained if the machine stole at least as much time as "
-        "was missing on one of its cores; processes that only sleep measure that: "
+        "with the aircraft within 30 % of the beat. A miss is explained by an injected fault if one killed or stalled "
+        "the worker of the beat's window, else by the machine if that stole at least as much time as was missing on "
+        "one of its cores; processes that only sleep measure that: "
         f"{stolen:.0f} ms in all, {longest:.1f} ms at most at once. Code was compiled or loaded in "
         f"{float(dataset.attrs['warm_up_seconds']):.1f} s and the first window "
         f"computed in {float(dataset.attrs['first_window_seconds']):.2f} s, both before take-off.</p>"
@@ -233,10 +240,12 @@ def _fallbacks(dataset: xr.Dataset, summary: dict[str, Any]) -> str:
         f'<tr><td class="n">{clamped}</td>'
         "<td>had a control held at its limit by the clamp</td></tr></table></div>"
     )
-    for key, words in (("injected", "Faults injected"), ("refused", "Refused on the way in")):
-        counts = json.loads(str(dataset.attrs[key]))
-        if counts:
-            body += f"<p>{words}: " + escape(", ".join(f"{n} {name}" for name, n in sorted(counts.items()))) + ".</p>"
+    if summary["faults"]:
+        body += f"<p>{escape(injected(summary['faults']))}.</p>"
+    counts = json.loads(str(dataset.attrs["refused"]))
+    if counts:
+        words = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
+        body += f"<p>Refused on the way in: {escape(words)}.</p>"
     events = json.loads(str(dataset.attrs["events"]))
     if events:
         items = "".join(f"<li>{when:.3f} s: {escape(words)}</li>" for when, words in events[:100])
