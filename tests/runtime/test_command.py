@@ -1,5 +1,6 @@
 """``aerotube fly`` from the command line."""
 
+import json
 import re
 
 import pytest
@@ -7,6 +8,7 @@ import xarray as xr
 from typer.testing import CliRunner
 
 from aerotube.cli import app, cli
+from aerotube.runtime import page
 from aerotube.scenario import built_in_text
 
 
@@ -62,3 +64,34 @@ def test_a_replay_takes_nothing_else(capsys, flown, tmp_path):
     out = tmp_path / "elsewhere"
     assert "leave out --out" in refused(capsys, "--replay", flown[0] / "flight.nc", "--out", out)
     assert not out.exists()
+
+
+def test_a_refused_flight_leaves_no_folder(capsys, scenario, tmp_path):
+    out = tmp_path / "a" / "b"
+    assert "room for" in refused(capsys, scenario, "--faults", 9999, "--out", out)
+    assert not out.parent.exists()
+
+
+def test_an_interruption_leaves_no_empty_folder(capsys, scenario, tmp_path, monkeypatch):
+    def interrupted(flown, folder):
+        (folder / "figures").mkdir()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(page, "save", interrupted)
+    (tmp_path / "mine").mkdir()
+    for out in (tmp_path / "a" / "b", tmp_path / "mine"):
+        with pytest.raises(SystemExit) as left:
+            app(["fly", str(scenario), "--speed", "inf", "--out", str(out), "--headless"])
+        assert left.value.code == 130
+        assert "interrupted before the end" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+    assert not any((tmp_path / "mine").iterdir())
+
+
+def test_a_flight_is_of_whole_manoeuvres_and_says_so(scenario, tmp_path):
+    arguments = ["fly", str(scenario), "--speed", "inf", "--duration", "1", "--out", str(tmp_path)]
+    said = CliRunner().invoke(cli, arguments).output
+    words = "1.2 s of flight (1 s were asked for: whole manoeuvres)"
+    assert words in said
+    assert words in (tmp_path / "report.html").read_text()
+    assert json.loads((tmp_path / "fly.json").read_text())["seconds"] == pytest.approx(1.2)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aerotube.errors import InputError
-from aerotube.runtime.options import Options
+from aerotube.runtime.options import SHORTEST, Options, check_beat
 
 
 @pytest.mark.parametrize(
@@ -25,3 +25,11 @@ from aerotube.runtime.options import Options
 def test_mistakes_are_told_by_name_and_value(wrong, words):
     with pytest.raises(InputError, match=words):
         Options(**wrong)
+
+
+def test_beats_too_short_for_the_runtime_are_refused_on_the_clock_only(prepared):
+    least = prepared.nominal.dt / SHORTEST
+    check_beat(prepared, Options(speed=0.99 * least))
+    check_beat(prepared, Options(speed=np.inf))
+    with pytest.raises(InputError, match="too short"):
+        check_beat(prepared, Options(speed=1.01 * least))

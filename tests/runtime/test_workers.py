@@ -1,6 +1,8 @@
 """Workers that die or stall are replaced, and their work is done or given up aloud."""
 
 import multiprocessing
+import os
+import signal
 import threading
 import time
 
@@ -114,3 +116,15 @@ def test_watchdogs_report_and_their_loss_is_told():
     assert watch.stop().shape[1] == 3
     assert len(watch.troubles) == 1
     assert "has not reported" in watch.troubles[0]
+
+
+@pytest.mark.skipif(
+    not hasattr(signal, "pthread_sigmask"), reason="a process cannot hand on which signals it holds back"
+)
+def test_an_interrupt_does_not_reach_the_watchdogs_even_while_they_start():
+    watch = Watchdog()
+    for process, _, _ in watch._watches:
+        os.kill(process.pid, signal.SIGINT)
+    watch.stop()
+    assert watch.troubles == []
+    assert [process.exitcode for process, _, _ in watch._watches] == [0] * len(watch._watches)

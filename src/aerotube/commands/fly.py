@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from aerotube.commands.common import FAILED, FINE, INTERRUPTED, interruptible
+from aerotube.commands.common import FAILED, FINE, Interrupted, interruptible
 from aerotube.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,7 +28,10 @@ def fly(
         typer.Option(metavar="X", help="Seconds of flight for one of the clock; inf: without a clock."),
     ] = 1.0,
     duration: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Repeat the manoeuvre for this long; once without it.")
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help="Repeat the manoeuvre for this long, the last one to its end; once without it."
+        ),
     ] = None,
     window: Annotated[int, typer.Option(metavar="N", help="Beats of a window of laws.")] = 16,
     on_demand: Annotated[bool, typer.Option("--on-demand", help="Solve each beat during the beat before it.")] = False,
@@ -79,64 +85,73 @@ def fly(
 
     Example: aerotube fly --duration 60
     """
-    if replay is not None:
-        _replay(replay, [name for name in _given(context) if name != "--replay"])
-        return
-    from aerotube.runtime.options import Options
+    with interruptible():
+        if replay is not None:
+            _replay(replay, [name for name in _given(context) if name != "--replay"])
+            return
+        from aerotube.runtime.options import Options
 
-    options = Options(
-        speed=speed,
-        duration=duration,
-        window=reuse + 1 if on_demand else window,
-        reuse=reuse,
-        estimator=estimator,
-        noise=noise,
-        deviation=cast(Any, deviation),  # one that there is not is refused with the other options
-        gusts=gusts,
-        delay=delay,
-        actuators=actuators,
-        replan=replan,
-        tolerance=event,
-        faults=faults,
-        seed=seed,
-        workers=workers,
-        link="udp" if udp else "local",
-        port=port,
-    )
-    overrides = {"synthesis.algorithm": algorithm, "nominal.beat": None if beat is None else f"{beat!r} s"}
-    _fly(scenario, {key: value for key, value in overrides.items() if value is not None}, options, out, headless)
+        options = Options(
+            speed=speed,
+            duration=duration,
+            window=reuse + 1 if on_demand else window,
+            reuse=reuse,
+            estimator=estimator,
+            noise=noise,
+            deviation=cast(Any, deviation),  # one that there is not is refused with the other options
+            gusts=gusts,
+            delay=delay,
+            actuators=actuators,
+            replan=replan,
+            tolerance=event,
+            faults=faults,
+            seed=seed,
+            workers=workers,
+            link="udp" if udp else "local",
+            port=port,
+        )
+        overrides = {"synthesis.algorithm": algorithm, "nominal.beat": None if beat is None else f"{beat!r} s"}
+        _fly(scenario, {key: value for key, value in overrides.items() if value is not None}, options, out, headless)
 
 
 def _fly(scenario: Path | None, overrides: dict[str, str], options: Options, out: Path, headless: bool) -> None:
     """Fly, write what came of it, and leave with the exit code that it deserves."""
+    from rich.console import Console
+
     from aerotube.preparation import prepare
     from aerotube.results import ensure_folder
     from aerotube.runtime.flight import fly as take_off
     from aerotube.runtime.page import save
+    from aerotube.runtime.view import LiveView
     from aerotube.scenario import load
 
-    with interruptible():
-        prepared = prepare(load(scenario, overrides))
+    prepared = prepare(load(scenario, overrides))
+    console = Console(stderr=True, highlight=False)
+    say = partial(console.print, soft_wrap=True, markup=False)
+    with _no_empty_folders(out):
         ensure_folder(out)
-        flown = take_off(prepared, options, *_shown(headless))
+        flown = take_off(prepared, options, say, None if headless else LiveView(console))
+        if flown.interrupted and not flown.record.flown:
+            raise Interrupted
         summary = save(flown, out)
     _print(summary, out)
-    if not summary["beats"]:
-        raise typer.Exit(FAILED)
-    short = flown.truth is not None and flown.truth.flown_manoeuvres < flown.world.manoeuvres
-    raise typer.Exit(INTERRUPTED if short else FAILED if summary["missed_unexplained"] else FINE)
+    if flown.interrupted:
+        raise Interrupted
+    failed = not summary["beats"] or summary["ended"] in ("behind", "lost") or summary["missed_unexplained"]
+    raise typer.Exit(FAILED if failed else FINE)
 
 
-def _shown(headless: bool) -> tuple[Any, Any]:
-    """What tells of the preparations, and what shows the flight."""
-    if headless:
-        return None, None
-    from rich.console import Console
-
-    from aerotube.runtime.view import LiveView
-
-    console = Console(stderr=True, highlight=False)
-    return console.print, LiveView(console)
+@contextmanager
+def _no_empty_folders(out: Path) -> Iterator[None]:
+    """Where something ends it, take the folders away again that were made in this block and stayed empty."""
+    missing = [folder for folder in (out / "figures", out, *out.parents) if not folder.exists()]
+    try:
+        yield
+    except BaseException:
+        for folder in missing:
+            with suppress(OSError):  # it holds something, or was never made
+                folder.rmdir()
+        raise
 
 
 def _given(context: typer.Context) -> list[str]:
@@ -153,13 +168,12 @@ def _stands(context: typer.Context, name: str | None) -> bool:
 def _replay(path: Path, others: list[str]) -> None:
     from aerotube.runtime import log, replay
 
-    with interruptible():
-        dataset = log.read(path)
-        if others:
-            raise InputError(
-                f"--replay flies {path} again as it was flown and writes nothing; leave out {', '.join(others)}"
-            )
-        found = replay.replay(dataset)
+    dataset = log.read(path)
+    if others:
+        raise InputError(
+            f"--replay flies {path} again as it was flown and writes nothing; leave out {', '.join(others)}"
+        )
+    found = replay.replay(dataset)
     same = all(found[key] in (0.0, None) for key in ("state", "command"))
     typer.echo(
         f"{path}: "
@@ -180,5 +194,6 @@ def _print(summary: dict[str, Any], out: Path) -> None:
 
     console = Console(highlight=False)
     for line in told(summary):
-        console.print(line, soft_wrap=True)
-    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+        console.print(line, soft_wrap=True, markup=False)
+    if summary["beats"]:
+        console.print(f"Report: {out / 'report.html'}", soft_wrap=True)

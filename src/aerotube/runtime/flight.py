@@ -19,15 +19,16 @@ from aerotube.errors import ComputationError
 from aerotube.preparation import Prepared
 from aerotube.runtime import aircraft_process
 from aerotube.runtime.alone import fly_alone
-from aerotube.runtime.channels import Channel, QueueChannel, SocketChannel
+from aerotube.runtime.channels import LOOPBACK, Channel, QueueChannel, SocketChannel
 from aerotube.runtime.commander import Beat, Commander
 from aerotube.runtime.faults import Faults, FaultyChannel
 from aerotube.runtime.guidance import Guidance
 from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Rung
-from aerotube.runtime.options import Options, make_commander, make_estimator, make_task, make_world
+from aerotube.runtime.options import Options, check_beat, make_commander, make_estimator, make_task, make_world
 from aerotube.runtime.pilot import Pilot
 from aerotube.runtime.planner import window_starts
+from aerotube.runtime.processes import deaf_to_interrupts
 from aerotube.runtime.record import Record
 from aerotube.runtime.session import Session
 from aerotube.runtime.task import Task
@@ -62,6 +63,8 @@ class Flown:
     warm_up, first_window : float
         s before take-off: compiling or loading code, and computing the first window.
     token : int
+    interrupted : bool
+        Ended by Ctrl-C before its last beat.
     """
 
     options: Options
@@ -75,6 +78,7 @@ class Flown:
     warm_up: float
     first_window: float
     token: int = field(repr=False)
+    interrupted: bool = False
 
 
 #: Called with the controller, again and again, while it flies.
@@ -111,6 +115,7 @@ def fly(
     Ctrl-C ends the flight after the beat, and what was flown is returned.
     """
     say = tell or (lambda words: None)
+    check_beat(prepared, options)
     world, task = make_world(prepared, options), make_task(prepared, options)
     guidance = Guidance(prepared.rigid, prepared.nominal, options.replan, options.seed)
     estimator = make_estimator(prepared, options)
@@ -133,11 +138,14 @@ def fly(
         warm_up = _warm_up(prepared, commander, task)
         say(f"code ready in {warm_up:.1f} s; computing the first window")
         first_window = pilot.prepare()
-        say(f"first window in {first_window:.2f} s; take-off")
+        say(f"first window in {first_window:.2f} s")
+        if not own:
+            for words in _waiting(options):
+                say(words)
         sys.setswitchinterval(_SWITCH)
         gc.collect()
         gc.freeze()
-        _run(pilot, view)
+        _run(pilot, say, view)
     finally:
         if view is not None and hasattr(view, "close"):
             view.close()
@@ -151,8 +159,29 @@ def fly(
         home.close()
     alone = None if truth is None or not truth.flown_manoeuvres else fly_alone(world, truth, pilot.record)
     return Flown(
-        options, prepared, pilot.record, world, truth, alone, faults, thefts, warm_up, first_window, world.token
+        options=options,
+        prepared=prepared,
+        record=pilot.record,
+        world=world,
+        truth=truth,
+        alone=alone,
+        faults=faults,
+        thefts=thefts,
+        warm_up=warm_up,
+        first_window=first_window,
+        token=world.token,
+        interrupted=pilot.stop.is_set() and pilot.record.flown < beats,
     )
+
+
+def _waiting(options: Options) -> list[str]:
+    """What is said before another's aircraft is there."""
+    words = [f"waiting for an aircraft at UDP port {options.port} ({LOOPBACK}); Ctrl-C ends"]
+    if options.replan:
+        words.append(
+            "the nominal that commands follow is moved at every window; the aircraft is not told, and need not be"
+        )
+    return words
 
 
 def _faults(options: Options, world: World) -> Faults | None:
@@ -185,7 +214,8 @@ def _start(world: World, channel: Any, options: Options) -> tuple[Any, Any]:
         return thread, report
     process = context.Process(target=aircraft_process.run, args=(world, channel, away), name="aircraft", daemon=True)
     try:
-        process.start()
+        with deaf_to_interrupts():
+            process.start()
     except OSError as error:
         raise ComputationError(f"flight: the aircraft's process does not start ({error}).") from None
     away.close()
@@ -213,7 +243,7 @@ def _warm_up(prepared: Prepared, commander: Commander, task: Task) -> float:
     return time.perf_counter() - clock
 
 
-def _run(pilot: Pilot, view: View | None) -> None:
+def _run(pilot: Pilot, say: Callable[[str], None], view: View | None) -> None:
     """Fly in a thread of its own; this one shows it and hears Ctrl-C."""
     failure: list[BaseException] = []
 
@@ -225,13 +255,20 @@ def _run(pilot: Pilot, view: View | None) -> None:
 
     thread = threading.Thread(target=work, name="controller")
     thread.start()
+    off = False
     while thread.is_alive():
         try:
-            if view is not None:
+            if not off and pilot.met.wait(0.2):
+                off = True
+                say("take-off")
+            if off and view is not None:
                 view(pilot)
-            thread.join(0.2)
+            thread.join(0.2 if off else 0.0)
         except KeyboardInterrupt:
             pilot.stop.set()
+        except Exception as error:  # of the view: what flies is not to be left alone for it
+            view = None
+            say(f"the live view has failed ({type(error).__name__}: {error}); the flight goes on without it")
     if failure:
         raise failure[0]
 

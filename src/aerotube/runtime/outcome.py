@@ -106,6 +106,24 @@ def _hit(flown: Flown) -> NDArray[np.bool_]:
     return np.isin(starts, hit)
 
 
+def ended(flown: Flown) -> str:
+    """How the flight ended.
+
+    Returns
+    -------
+    str
+        "whole"; "interrupted" by the user; "early": another's aircraft ended it; "behind": the aircraft had not flown
+        its manoeuvres to their end when the controller was done; "lost": its log did not come home.
+    """
+    if flown.interrupted:
+        return "interrupted"
+    if flown.options.port is not None:
+        return "whole" if flown.record.flown == flown.record.beats else "early"
+    if flown.truth is None:
+        return "lost"
+    return "whole" if flown.truth.flown_manoeuvres == flown.world.manoeuvres else "behind"
+
+
 def _beat_seconds(flown: Flown) -> float:
     return flown.world.dt / flown.options.speed if np.isfinite(flown.options.speed) else 0.0
 
@@ -147,7 +165,9 @@ def summarise(flown: Flown) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``beats``; ``missed_deadlines``, and of them ``missed_explained`` by what explains them (``fault``: one was
+        ``beats`` and the ``seconds`` of flight that they are, of so many ``seconds_asked``; ``ended``, see
+        :func:`ended`; ``broken_off``, the beats of a manoeuvre that was not flown to its end, of which the aircraft
+        has no log; ``missed_deadlines``, and of them ``missed_explained`` by what explains them (``fault``: one was
         injected into the worker of the beat's window; ``machine``: it stole the time) and ``missed_unexplained``;
         ``faults`` injected, by kind; ``fallbacks`` by kind (beats);
         ``certificates`` by kind (beats, by the part that has the least; "none": no tube is claimed); ``promises`` of
@@ -162,9 +182,14 @@ def summarise(flown: Flown) -> dict[str, Any]:
         for key, function in (("mae", mean_absolute_error), ("rmse", root_mean_square_error)):
             value = None if errors is None else float(function(error_metric(errors).reshape(-1)))
             figures[key][name] = value if value is not None and np.isfinite(value) else None
-    spans = 1e6 * latency(flown)
+    spans, beats = 1e6 * latency(flown), int(flown.record.flown)
+    whole = beats if flown.truth is None else flown.truth.flown_manoeuvres * flown.world.beats
     return {
-        "beats": int(flown.record.flown),
+        "beats": beats,
+        "seconds": beats * flown.world.dt,
+        "seconds_asked": flown.options.duration,
+        "ended": ended(flown),
+        "broken_off": max(beats - whole, 0),
         "missed_deadlines": int(missed.missed.sum()),
         "missed_explained": {"fault": int(missed.by_fault.sum()), "machine": int(missed.by_machine.sum())},
         "missed_unexplained": int(missed.unexplained.sum()),

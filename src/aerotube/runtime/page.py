@@ -14,7 +14,7 @@ from aerotube.runtime import log
 from aerotube.runtime.limits import what_limits
 from aerotube.runtime.outcome import summarise
 from aerotube.runtime.pictures import flight_figure, timeline_figure
-from aerotube.runtime.words import injected
+from aerotube.runtime.words import broken_off, duration, injected, promised
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -98,7 +98,6 @@ def build(dataset: xr.Dataset, figures: dict[str, Path]) -> str:
     """
     summary, options = (json.loads(str(dataset.attrs[key])) for key in ("summary", "options"))
     version = str(dataset.attrs.get("aerotube_version", ""))
-    seconds = summary["beats"] * float(dataset.attrs["beat_seconds"])
     sections = [
         ("tracking", "States and controls", _tracking(figures)),
         ("limits", "What limits the tracking", _limits(dataset)),
@@ -111,7 +110,7 @@ def build(dataset: xr.Dataset, figures: dict[str, Path]) -> str:
     return fill(
         title=f"Flight: {dataset.attrs.get('scenario_title', '')}",
         lead=(
-            f"{summary['beats']} beats, {seconds:.1f} s of flight, {options['speed']:g} s of it in one second of the "
+            f"{summary['beats']} beats, {duration(summary)}, {options['speed']:g} s of it in one second of the "
             f"clock; flown {dataset.attrs.get('created', '')} with aerotube {version}."
         ),
         sections=sections,
@@ -198,6 +197,7 @@ def _certificates(dataset: xr.Dataset, summary: dict[str, Any]) -> str:
     rows = "".join(
         f'<tr><td class="n">{count}</td><td>{escape(_CERTIFICATES[kind])}</td></tr>' for kind, count in counts.items()
     )
+    kept = [promised(summary["promises"]), *([broken_off(summary)] if summary["broken_off"] else [])]
     stated = json.loads(str(dataset.attrs["certified"]))
     error, gust = stated["measurement_error"], stated["gust"]
     heard = (
@@ -214,18 +214,7 @@ def _certificates(dataset: xr.Dataset, summary: dict[str, Any]) -> str:
         f"{stated['samples']} for each beat, so that the tube is exceeded on no more than "
         f"{100 * stated['share']:.1f} % of the set, with a confidence of {100 * stated['confidence']:g} %.</p>"
         f'<div class="scroll"><table><tr><th class="n">beats</th><th>whose law has</th></tr>{rows}</table></div>'
-        + _kept(summary["promises"])
-    )
-
-
-def _kept(promises: dict[str, int] | None) -> str:
-    if promises is None:
-        return "<p>Whether this flight kept to its tubes is not looked at: they do not know how it was flown.</p>"
-    left = promises["left"]
-    return (
-        f"<p>Of {promises['certified']} certified beats, {promises['promised']} started inside the sets of their "
-        "tubes: errors, their measurement, parameters and air. Of these, "
-        f"{'none' if left == 0 else left} ended outside the tube.</p>"
+        + "".join(f"<p>{escape(line[0].upper() + line[1:])}.</p>" for line in kept)
     )
 
 

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aerotube.runtime.processes import deaf_to_interrupts
+
 Array = NDArray[np.float64]
 
 PERIOD = 2e-3  # s
@@ -75,7 +77,8 @@ class Watchdog:
             stopped, stop = context.Pipe(duplex=False)
             report, reported = context.Pipe(duplex=False)
             process = context.Process(target=measure, args=(stopped, reported, core), daemon=True)
-            process.start()
+            with deaf_to_interrupts():
+                process.start()
             stopped.close()
             reported.close()
             self._watches.append((process, stop, report))
