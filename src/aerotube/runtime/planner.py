@@ -105,8 +105,7 @@ class Planner:
         start, count = self._windows[self._asked]
         manoeuvre, first = divmod(start, self.horizon)
         nominal = self.guidance.update(manoeuvre, first)
-        for beat in range(start, (manoeuvre + 1) * self.horizon):
-            self.ladder.nominals[beat] = nominal
+        self.ladder.decide(range(start, (manoeuvre + 1) * self.horizon), nominal)
         self._asked_for[start] = nominal
         lead = np.inf
         if self.length and self._asked:
