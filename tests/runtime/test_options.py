@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aerotube.errors import InputError
-from aerotube.runtime.options import SHORTEST, Options, check_beat
+from aerotube.runtime.options import SHORTEST, Options, check_beat, flown_options
 
 
 @pytest.mark.parametrize(
@@ -19,6 +19,8 @@ from aerotube.runtime.options import SHORTEST, Options, check_beat
         ({"window": 5, "reuse": 1}, "window of 5"),
         ({"faults": 5, "speed": np.inf}, "clock"),
         ({"gusts": "foo"}, "'foo'; choose none, light, moderate or severe"),
+        ({"port": 5555, "actuators": True}, "actuators is of the aircraft"),
+        ({"port": 5555, "gusts": "light"}, "gusts is of the aircraft"),
         ({"deviation": "foo"}, "'foo'; choose paper or box"),
     ],
 )
@@ -33,3 +35,12 @@ def test_beats_too_short_for_the_runtime_are_refused_on_the_clock_only(prepared)
     check_beat(prepared, Options(speed=np.inf))
     with pytest.raises(InputError, match="too short"):
         check_beat(prepared, Options(speed=1.01 * least))
+
+
+def test_options_are_told_as_they_were_flown(prepared):
+    told = flown_options(prepared, Options(tolerance=0.25, duration=10.0))
+    assert not {"None", "False", "True", "inf"} & set(told.values())
+    assert (told["noise"], told["gusts"], told["beat"]) == ("100 % of the disturbance box", "none", "50 ms")
+    assert "25 %" in told["event"]
+    assert told.keys() >= {"duration", "replan", "estimator", "algorithm"}
+    assert "own" in flown_options(prepared, Options(port=5555))["gusts"]

@@ -30,7 +30,8 @@ def fly(
     duration: Annotated[
         float | None,
         typer.Option(
-            metavar="SECONDS", help="Repeat the manoeuvre for this long, the last one to its end; once without it."
+            metavar="SECONDS",
+            help="Repeat the manoeuvre for this long, rounded up to whole manoeuvres; once without it.",
         ),
     ] = None,
     window: Annotated[int, typer.Option(metavar="N", help="Beats of a window of laws.")] = 16,
@@ -56,7 +57,11 @@ def fly(
     delay: Annotated[int, typer.Option(metavar="N", help="Whole beats from a command to its effect.")] = 0,
     replan: Annotated[
         float,
-        typer.Option(metavar="SHARE", help="Move the nominal at every window, by a share of the controls' travel."),
+        typer.Option(
+            metavar="SHARE",
+            help="Move the nominal at every window, by a share of the controls' travel; "
+            "with --port another's aircraft is led along it by the commands, and not told.",
+        ),
     ] = 0.0,
     event: Annotated[
         float | None,
@@ -69,7 +74,8 @@ def fly(
     workers: Annotated[int, typer.Option(min=1, help="Threads that solve.")] = 2,
     udp: Annotated[bool, typer.Option("--udp", help="Talk to the aircraft over UDP on loopback.")] = False,
     port: Annotated[
-        int | None, typer.Option(metavar="PORT", help="Wait at this UDP port for another's aircraft, and fly that.")
+        int | None,
+        typer.Option(metavar="PORT", help="Wait at this UDP port of this machine for another's aircraft, and fly it."),
     ] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No live view.")] = False,
     replay: Annotated[
@@ -80,7 +86,7 @@ def fly(
     """Fly a scenario against the clock: the aircraft in its own process, laws computed while it flies.
 
     Writes flight.nc (the log), fly.json, figures/ and report.html to the out folder. Exit code 1 if a deadline was
-    missed that the machine does not explain. The messages between aircraft and controller are documented in
+    missed that neither an injected fault nor the machine explains, or the aircraft did not fly to the end. The messages between aircraft and controller are documented in
     aerotube.runtime.messages.
 
     Example: aerotube fly --duration 60

@@ -16,7 +16,7 @@ from aerotube.results import provenance, whole_file
 from aerotube.results.record import CONTROL_UNITS, CONTROLS, STATE_UNITS, STATES
 from aerotube.runtime.flight import Flown
 from aerotube.runtime.messages import Rung
-from aerotube.runtime.options import flown_settings
+from aerotube.runtime.options import flown_options, flown_settings
 from aerotube.runtime.outcome import deadlines, errors_flown, summarise
 
 if TYPE_CHECKING:
@@ -85,6 +85,7 @@ def _described(flown: Flown, start: float) -> xr.Dataset:
             "title": TITLE,
             "schema_version": SCHEMA_VERSION,
             "options": json.dumps(asdict(flown.options)),
+            "options_flown": json.dumps(flown_options(flown.prepared, flown.options)),
             "summary": json.dumps(summarise(flown)),
             "refused": json.dumps(dict(record.refused)),
             "events": json.dumps([[round(when - start, 6), words] for when, words in record.events]),

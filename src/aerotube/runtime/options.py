@@ -98,6 +98,8 @@ class Options:
     def __post_init__(self) -> None:
         least = {"reuse": 0, "window": 1, "delay": 0, "workers": 1, "substeps": 1, "faults": 0}
         few = next((name for name, bound in least.items() if getattr(self, name) < bound), None)
+        chosen = {"gusts": self.gusts, "deviation": self.deviation == "box", "delay": self.delay}
+        of_own = next((name for name, value in (chosen | {"actuators": self.actuators}).items() if value), None)
         wrong = ""
         if not self.speed > 0:
             wrong = f"speed is {self.speed:g}; give how many seconds are flown in one second, or inf"
@@ -119,6 +121,10 @@ class Options:
             wrong = f"noise is {self.noise:g}; give a share of the disturbance box, not negative"
         elif self.port is not None and not 1 <= self.port <= 65535:
             wrong = f"there is no port {self.port}; give one from 1 to 65535"
+        elif self.port is not None and of_own:
+            wrong = (
+                f"{of_own} is of the aircraft that flies without a port; another's aircraft has its own: leave it out"
+            )
         if wrong:
             raise InputError(f"flight: {wrong}.")
 
@@ -218,6 +224,45 @@ def make_commander(prepared: Prepared, estimator: flight.ExtendedKalmanFilter | 
     coordinates = ErrorCoordinates(prepared.settings["noise"].attitude)
     gate = _GATE * np.asarray(prepared.disturbance.half_widths)
     return Commander(prepared.plant, coordinates, prepared.nominal.dt, estimator, form, gate)
+
+
+def flown_options(prepared: Prepared, options: Options) -> dict[str, str]:
+    """What was flown, in words, by option of the command line; defaults and what the scenario says filled in."""
+    chosen, nominal = prepared.source.scenario, prepared.nominal
+    own = options.port is None
+    theirs = "the other aircraft's own"
+    deviation = {"paper": "the paper's", "box": "drawn from the disturbance set"}[options.deviation]
+    gusts = chosen.flight.gusts if options.gusts is None else options.gusts
+    link = {"local": "sockets of this machine", "udp": "UDP on loopback", "thread": "a queue in one process"}
+    event = "no: every window is designed anew"
+    if options.tolerance is not None:
+        event = f"a law is kept while its tube grows by no more than {100 * options.tolerance:g} %"
+    return {
+        "speed": f"{options.speed:g}" if np.isfinite(options.speed) else "without a clock",
+        "duration": "once through" if options.duration is None else f"{options.duration:g} s, whole manoeuvres",
+        "window": f"{options.window} beats",
+        "reuse": f"each law for {options.reuse} more beats" if options.reuse else "no",
+        "algorithm": chosen.synthesis.algorithm,
+        "beat": f"{1e3 * nominal.dt:g} ms",
+        "estimator": _yes(options.estimator),
+        "noise": f"{100 * noise_of(prepared, options):g} % of the disturbance box" + ("" if own else ", for the laws"),
+        "deviation": deviation if own else theirs,
+        "gusts": gusts if own else theirs,
+        "actuators": _yes(options.actuators) if own else theirs,
+        "delay": f"{options.delay} beats" if own else theirs,
+        "replan": f"by {100 * options.replan:g} % of the controls' travel" if options.replan else "no",
+        "event": event,
+        "faults": str(options.faults),
+        "seed": str(options.seed),
+        "workers": str(options.workers),
+        "link": link[options.link] if own else f"UDP port {options.port}",
+        "substeps": str(options.substeps) if own else theirs,
+        "look-around": f"{options.around:g} s before and after a window",
+    }
+
+
+def _yes(chosen: bool) -> str:
+    return "yes" if chosen else "no"
 
 
 def noise_of(prepared: Prepared, options: Options) -> float:

@@ -105,7 +105,7 @@ def build(dataset: xr.Dataset, figures: dict[str, Path]) -> str:
         ("certificates", "What stands behind the laws", _certificates(dataset, summary)),
         ("fallbacks", "Fallbacks and faults", _fallbacks(dataset, summary)),
         ("recomputation", "Recomputation", _recomputation(dataset, options)),
-        ("options", "Options", _table({name: str(value) for name, value in options.items()})),
+        ("options", "Options", _table(json.loads(str(dataset.attrs["options_flown"])))),
     ]
     return fill(
         title=f"Flight: {dataset.attrs.get('scenario_title', '')}",
