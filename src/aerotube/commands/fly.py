@@ -86,8 +86,8 @@ def fly(
     """Fly a scenario against the clock: the aircraft in its own process, laws computed while it flies.
 
     Writes flight.nc (the log), fly.json, figures/ and report.html to the out folder. Exit code 1 if a deadline was
-    missed that neither an injected fault nor the machine explains, or the aircraft did not fly to the end. The messages between aircraft and controller are documented in
-    aerotube.runtime.messages.
+    missed that neither an injected fault nor the machine explains, or the aircraft did not fly to the end. The messages
+    between aircraft and controller are documented in aerotube.runtime.messages.
 
     Example: aerotube fly --duration 60
     """

@@ -255,7 +255,9 @@ def _recomputation(dataset: xr.Dataset, options: dict[str, Any]) -> str:
     saving = 1e-3 * each["design"] * kept - spent["check"]
     return (
         f"<p>A law of the manoeuvre before was kept where its certified tube on the new nominal was at most "
-        f"{100 * options['tolerance']:g} % larger than where it was made, and its controls kept their limits there. "
+        f"{100 * options['tolerance']:g} % larger than where it was made, and its controls kept there, on the box or "
+        "the ellipsoid of errors on which the settings want them, their limits and, where rates are limited, their "
+        "share of the rate. "
         f"Kept: {kept} of {beats} beats ({100 * kept / max(beats, 1):.0f} %). Time spent: {spent['check']:.2f} s on "
         f"checking ({each['check']:.1f} ms a beat), {spent['design']:.2f} s on designing anew ({each['design']:.1f} ms "
         f"a beat), {spent['certify']:.2f} s on certifying. Against designing every beat, checking and keeping "
