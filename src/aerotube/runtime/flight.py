@@ -121,8 +121,8 @@ def fly(
     estimator = make_estimator(prepared, options)
     commander = make_commander(prepared, estimator, task.form)
     beats, faults = world.manoeuvres * world.beats, _faults(options, world)
-    say("starting the aircraft and the watchdog")
     own = options.port is None
+    say("starting the aircraft and the watchdog" if own else "starting the watchdog")
     home, away = _link(options)
     process, report = _start(world, away, options) if own else (None, None)
     watchdog = Watchdog() if options.link != "thread" else None
