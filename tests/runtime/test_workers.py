@@ -109,6 +109,15 @@ def test_a_watchdog_that_cannot_keep_to_its_core_says_so():
     assert "core 100000" in trouble
 
 
+def test_a_watchdog_whose_report_nobody_waits_for_ends_in_silence():
+    stopped, stop = multiprocessing.Pipe(duplex=False)
+    report, reported = multiprocessing.Pipe(duplex=False)
+    stop.close()
+    report.close()
+    measure(stopped, reported)
+    assert reported.closed
+
+
 def test_watchdogs_report_and_their_loss_is_told():
     watch = Watchdog()
     watch._watches[0][0].kill()

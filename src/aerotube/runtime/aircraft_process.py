@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import time
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -125,9 +126,9 @@ def _sleep_until(moment: float) -> None:
 
 def run(world: World, channel: Channel, report: Any) -> None:
     """Fly in a process of its own and send the truth home through a pipe."""
-    try:
-        report.send(fly(world, channel))
-    except KeyboardInterrupt:  # the controller has heard it too, and ends the session
-        report.send(None)
-    finally:
-        report.close()
+    truth = None
+    with suppress(KeyboardInterrupt):  # the controller has heard it too, and ends the session
+        truth = fly(world, channel)
+    with suppress(OSError):  # nobody waits for it any more
+        report.send(truth)
+    report.close()

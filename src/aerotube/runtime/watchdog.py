@@ -8,6 +8,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import time
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -55,7 +56,8 @@ def measure(stop: Any, report: Any, core: int | None = None, period: float = PER
             before = now
     except (KeyboardInterrupt, OSError, EOFError):
         pass
-    report.send((found, trouble))
+    with suppress(OSError):  # nobody waits for it any more
+        report.send((found, trouble))
     report.close()
 
 
