@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from aerotube.errors import InputError
 from aerotube.runtime.channels import QueueChannel
-from aerotube.runtime.faults import Faults, FaultyChannel
+from aerotube.runtime.faults import LINK, WORKERS, Faults, FaultyChannel
 from aerotube.runtime.messages import Kind, Message, Refused, decode
+from aerotube.runtime.workers import Killed
 
 
 def through(kind, beats=400, seed=0):
@@ -13,7 +15,7 @@ def through(kind, beats=400, seed=0):
     home, away = QueueChannel.pair()
     values = np.random.default_rng(seed).normal(size=(beats, 16))
     sent = [Message(Kind.MEASUREMENT, 7, b, b, 0.0, tuple(values[b].tolist())).encode() for b in range(beats)]
-    faults = Faults(1.0, seed, kinds=(kind,))
+    faults = Faults(dict.fromkeys(range(beats), kind), seed=seed)
     channel = FaultyChannel(home, faults)
     arrived = []
     for data in sent:
@@ -64,3 +66,25 @@ def test_what_is_taken_away_is_told_of_and_nothing_else():
             assert len(whole) == expected[kind]
         if kind in ("alien", "garbage"):
             assert sum(is_refused(data) for data in arrived) == 60
+
+
+@pytest.mark.parametrize(("count", "beats", "windows"), [(0, 12, 1), (6, 60, 3), (15, 12, 3), (300, 720, 119)])
+@pytest.mark.parametrize("seed", range(3))
+def test_as_many_faults_come_as_are_asked_for_all_kinds_together(count, beats, windows, seed):
+    starts = [6 * (w + 1) for w in range(windows)]
+    faults = Faults.spread(count, beats, starts, seed, stall=0.0)
+    assert len(faults.of_beats) + len(faults.of_windows) == count
+    for beat in (*range(beats), *range(beats)):
+        faults.of_link(beat)
+    for start in (*starts, *starts):
+        try:
+            faults.wrap(lambda: None, start)()
+        except Killed:
+            assert start in faults.windows
+    assert sum(faults.injected.values()) == count
+    assert set(faults.injected) <= {*LINK, *WORKERS}
+
+
+def test_more_faults_than_places_are_refused():
+    with pytest.raises(InputError, match="room for 15"):
+        Faults.spread(16, 12, [6, 12, 18], 0, stall=0.0)

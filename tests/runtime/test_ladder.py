@@ -6,6 +6,7 @@ from aerotube.runtime.ladder import Chosen, Ladder
 from aerotube.runtime.law import Form, Laws
 from aerotube.runtime.messages import Rung
 from aerotube.runtime.task import Task
+from aerotube.runtime.windows import compute
 from tests.runtime.test_windows import SETTINGS
 from tests.samples import BOX, aircraft, table2
 
@@ -45,3 +46,22 @@ def test_the_ladder_of_a_late_window():
     assert best() == (4, Rung.LAST, 2, True)
     made.planned[18] = certified(5, Rung.PLANNED)
     assert best() == (5, Rung.PLANNED, 2, False)
+
+
+def test_a_window_that_comes_after_its_beats_leaves_nothing_behind():
+    task, made = Task(aircraft(), BOX, SETTINGS, window=4, workers=1), ladder()
+    nominal = table2(12)
+    window = compute(task, nominal, range(4, 8))
+    for beat in range(12, 18):  # the second manoeuvre, past the middle of its window
+        made.forget(beat)
+    made.decide(range(12, 24), nominal)
+    made.install(window, 1, nominal)
+    stores = made.planned, made.held, made.lqr, made.nominals
+    assert min(min(store, default=18) for store in stores) == 18
+    assert sorted(made.planned) == [18, 19]
+    assert sorted(made.earlier) == [4, 5, 6, 7], "the next manoeuvre may fly them all"
+    for beat in range(18, 24):
+        made.forget(beat)
+    made.decide(range(12, 24), nominal)
+    made.install(window, 1, nominal)
+    assert not any(stores)

@@ -1,6 +1,8 @@
 """Workers that die or stall are replaced, and their work is done or given up aloud."""
 
 import multiprocessing
+import os
+import signal
 import threading
 import time
 
@@ -107,6 +109,15 @@ def test_a_watchdog_that_cannot_keep_to_its_core_says_so():
     assert "core 100000" in trouble
 
 
+def test_a_watchdog_whose_report_nobody_waits_for_ends_in_silence():
+    stopped, stop = multiprocessing.Pipe(duplex=False)
+    report, reported = multiprocessing.Pipe(duplex=False)
+    stop.close()
+    report.close()
+    measure(stopped, reported)
+    assert reported.closed
+
+
 def test_watchdogs_report_and_their_loss_is_told():
     watch = Watchdog()
     watch._watches[0][0].kill()
@@ -114,3 +125,15 @@ def test_watchdogs_report_and_their_loss_is_told():
     assert watch.stop().shape[1] == 3
     assert len(watch.troubles) == 1
     assert "has not reported" in watch.troubles[0]
+
+
+@pytest.mark.skipif(
+    not hasattr(signal, "pthread_sigmask"), reason="a process cannot hand on which signals it holds back"
+)
+def test_an_interrupt_does_not_reach_the_watchdogs_even_while_they_start():
+    watch = Watchdog()
+    for process, _, _ in watch._watches:
+        os.kill(process.pid, signal.SIGINT)
+    watch.stop()
+    assert watch.troubles == []
+    assert [process.exitcode for process, _, _ in watch._watches] == [0] * len(watch._watches)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from aerotube.commands.common import FAILED, FINE, INTERRUPTED, interruptible
+from aerotube.commands.common import FAILED, FINE, Interrupted, interruptible
 from aerotube.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,6 +18,7 @@ if TYPE_CHECKING:
 
 
 def fly(
+    context: typer.Context,
     scenario: Annotated[
         Path | None, typer.Argument(help="A scenario file, as `aerotube init` writes one; Table 2 without it.")
     ] = None,
@@ -24,7 +28,11 @@ def fly(
         typer.Option(metavar="X", help="Seconds of flight for one of the clock; inf: without a clock."),
     ] = 1.0,
     duration: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Repeat the manoeuvre for this long; once without it.")
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Repeat the manoeuvre for this long, rounded up to whole manoeuvres; once without it.",
+        ),
     ] = None,
     window: Annotated[int, typer.Option(metavar="N", help="Beats of a window of laws.")] = 16,
     on_demand: Annotated[bool, typer.Option("--on-demand", help="Solve each beat during the beat before it.")] = False,
@@ -49,103 +57,129 @@ def fly(
     delay: Annotated[int, typer.Option(metavar="N", help="Whole beats from a command to its effect.")] = 0,
     replan: Annotated[
         float,
-        typer.Option(metavar="SHARE", help="Move the nominal at every window, by a share of the controls' travel."),
+        typer.Option(
+            metavar="SHARE",
+            help="Move the nominal at every window, by a share of the controls' travel; "
+            "with --port another's aircraft is led along it by the commands, and not told.",
+        ),
     ] = 0.0,
     event: Annotated[
         float | None,
         typer.Option(metavar="SHARE", help="Keep a law while its certified tube on the new nominal grows by no more."),
     ] = None,
-    faults: Annotated[int, typer.Option(metavar="N", help="Inject so many faults of link, sensors and workers.")] = 0,
+    faults: Annotated[
+        int, typer.Option(metavar="N", help="Inject so many faults in all: of the link, the sensors and the workers.")
+    ] = 0,
     seed: Annotated[int, typer.Option(help="Of noise, gusts, guidance and faults.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Threads that solve.")] = 2,
     udp: Annotated[bool, typer.Option("--udp", help="Talk to the aircraft over UDP on loopback.")] = False,
     port: Annotated[
-        int | None, typer.Option(metavar="PORT", help="Wait at this UDP port for another's aircraft, and fly that.")
+        int | None,
+        typer.Option(metavar="PORT", help="Wait at this UDP port of this machine for another's aircraft, and fly it."),
     ] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No live view.")] = False,
     replay: Annotated[
-        Path | None, typer.Option(metavar="FLIGHT.NC", help="Fly a log again and compare, instead of a new flight.")
+        Path | None,
+        typer.Option(metavar="FLIGHT.NC", help="Fly a log again and compare; takes nothing else and writes nothing."),
     ] = None,
 ) -> None:
     """Fly a scenario against the clock: the aircraft in its own process, laws computed while it flies.
 
     Writes flight.nc (the log), fly.json, figures/ and report.html to the out folder. Exit code 1 if a deadline was
-    missed that the machine does not explain. The messages between aircraft and controller are documented in
-    aerotube.runtime.messages.
+    missed that neither an injected fault nor the machine explains, or the aircraft did not fly to the end. The messages
+    between aircraft and controller are documented in aerotube.runtime.messages.
 
     Example: aerotube fly --duration 60
     """
-    if replay is not None:
-        _replay(replay)
-        return
-    from aerotube.runtime.options import Options
+    with interruptible():
+        if replay is not None:
+            _replay(replay, [name for name in _given(context) if name != "--replay"])
+            return
+        from aerotube.runtime.options import Options
 
-    options = Options(
-        speed=speed,
-        duration=duration,
-        window=reuse + 1 if on_demand else window,
-        reuse=reuse,
-        estimator=estimator,
-        noise=noise,
-        deviation=_deviation(deviation),
-        gusts=gusts,
-        delay=delay,
-        actuators=actuators,
-        replan=replan,
-        tolerance=event,
-        faults=faults,
-        seed=seed,
-        workers=workers,
-        link="udp" if udp else "local",
-        port=port,
-    )
-    overrides = {"synthesis.algorithm": algorithm, "nominal.beat": None if beat is None else f"{beat!r} s"}
-    _fly(scenario, {key: value for key, value in overrides.items() if value is not None}, options, out, headless)
-
-
-def _deviation(kind: str) -> Any:
-    if kind not in ("paper", "box"):
-        raise InputError(f"--deviation: there is no {kind!r}; choose paper or box")
-    return kind
+        options = Options(
+            speed=speed,
+            duration=duration,
+            window=reuse + 1 if on_demand else window,
+            reuse=reuse,
+            estimator=estimator,
+            noise=noise,
+            deviation=cast(Any, deviation),  # one that there is not is refused with the other options
+            gusts=gusts,
+            delay=delay,
+            actuators=actuators,
+            replan=replan,
+            tolerance=event,
+            faults=faults,
+            seed=seed,
+            workers=workers,
+            link="udp" if udp else "local",
+            port=port,
+        )
+        overrides = {"synthesis.algorithm": algorithm, "nominal.beat": None if beat is None else f"{beat!r} s"}
+        _fly(scenario, {key: value for key, value in overrides.items() if value is not None}, options, out, headless)
 
 
 def _fly(scenario: Path | None, overrides: dict[str, str], options: Options, out: Path, headless: bool) -> None:
     """Fly, write what came of it, and leave with the exit code that it deserves."""
+    from rich.console import Console
+
     from aerotube.preparation import prepare
     from aerotube.results import ensure_folder
     from aerotube.runtime.flight import fly as take_off
     from aerotube.runtime.page import save
+    from aerotube.runtime.view import LiveView
     from aerotube.scenario import load
 
-    with interruptible():
-        prepared = prepare(load(scenario, overrides))
+    prepared = prepare(load(scenario, overrides))
+    console = Console(stderr=True, highlight=False)
+    say = partial(console.print, soft_wrap=True, markup=False)
+    with _no_empty_folders(out):
         ensure_folder(out)
-        flown = take_off(prepared, options, *_shown(headless))
+        flown = take_off(prepared, options, say, None if headless else LiveView(console))
+        if flown.interrupted and not flown.record.flown:
+            raise Interrupted
         summary = save(flown, out)
     _print(summary, out)
-    if not summary["beats"]:
-        raise typer.Exit(FAILED)
-    short = flown.truth is not None and flown.truth.flown_manoeuvres < flown.world.manoeuvres
-    raise typer.Exit(INTERRUPTED if short else FAILED if summary["missed_unexplained"] else FINE)
+    if flown.interrupted:
+        raise Interrupted
+    failed = not summary["beats"] or summary["ended"] in ("behind", "lost") or summary["missed_unexplained"]
+    raise typer.Exit(FAILED if failed else FINE)
 
 
-def _shown(headless: bool) -> tuple[Any, Any]:
-    """What tells of the preparations, and what shows the flight."""
-    if headless:
-        return None, None
-    from rich.console import Console
+@contextmanager
+def _no_empty_folders(out: Path) -> Iterator[None]:
+    """Where something ends it, take the folders away again that were made in this block and stayed empty."""
+    missing = [folder for folder in (out / "figures", out, *out.parents) if not folder.exists()]
+    try:
+        yield
+    except BaseException:
+        for folder in missing:
+            with suppress(OSError):  # it holds something, or was never made
+                folder.rmdir()
+        raise
 
-    from aerotube.runtime.view import LiveView
 
-    console = Console(stderr=True, highlight=False)
-    return console.print, LiveView(console)
+def _given(context: typer.Context) -> list[str]:
+    """The arguments and options that stand on the command line, by name."""
+    given = [p for p in context.command.params if _stands(context, p.name)]
+    return [p.opts[0] if p.param_type_name == "option" else str(p.name) for p in given]
 
 
-def _replay(path: Path) -> None:
+def _stands(context: typer.Context, name: str | None) -> bool:
+    source = context.get_parameter_source(name) if name else None
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def _replay(path: Path, others: list[str]) -> None:
     from aerotube.runtime import log, replay
 
-    with interruptible():
-        found = replay.replay(log.read(path))
+    dataset = log.read(path)
+    if others:
+        raise InputError(
+            f"--replay flies {path} again as it was flown and writes nothing; leave out {', '.join(others)}"
+        )
+    found = replay.replay(dataset)
     same = all(found[key] in (0.0, None) for key in ("state", "command"))
     typer.echo(
         f"{path}: "
@@ -162,33 +196,10 @@ def _replay(path: Path) -> None:
 def _print(summary: dict[str, Any], out: Path) -> None:
     from rich.console import Console
 
+    from aerotube.runtime.words import told
+
     console = Console(highlight=False)
-    fallbacks = {name.replace("_", " "): count for name, count in summary["fallbacks"].items() if count}
-    words = [
-        f"{summary['beats']} beats; {summary['missed_deadlines']} missed deadlines, "
-        f"{summary['missed_unexplained']} of them not explained by the machine",
-        "fallbacks: " + (", ".join(f"{count} {name}" for name, count in fallbacks.items()) or "none"),
-    ]
-    kinds = [f"{count} {name}" for name, count in summary["certificates"].items() if count]
-    words.append("certificates of the beats' laws: " + (", ".join(kinds) or "none"))
-    kept = summary["promises"]
-    if kept is not None:
-        left = kept["left"] or "none"
-        words.append(f"{kept['promised']} beats started inside the sets of their tubes; of these {left} ended outside")
-    for key, name in (("mae", "mean absolute error"), ("rmse", "root mean square error")):
-        none, compensated = summary[key]["none"], summary[key]["compensated"]
-        if none and compensated is not None:
-            share = 100 * (1 - compensated / none)
-            words.append(f"{name}: {none:.3f} without compensation, {compensated:.3f} with it (−{share:.0f} %)")
-    span = summary["latency_us"]
-    if span["median"] is not None:
-        words.append(f"measurement to command: {span['median']:.0f} µs median, {span['p99']:.0f} µs 99th percentile")
-    if summary["realtime_factor"] is not None:
-        words.append(f"windows are computed {summary['realtime_factor']:.1f} times as fast as they are flown")
-    spent = summary["window_ms"]
-    if spent is not None:
-        parts = [f"{spent[name]:.0f} to {name}" for name in ("check", "design", "certify") if spent[name]]
-        words.append(f"a whole window takes {spent['whole']:.0f} ms (median): {', '.join(parts)}")
-    for line in words:
-        console.print(line, soft_wrap=True)
-    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+    for line in told(summary):
+        console.print(line, soft_wrap=True, markup=False)
+    if summary["beats"]:
+        console.print(f"Report: {out / 'report.html'}", soft_wrap=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import time
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -55,21 +57,28 @@ def fly(world: World, channel: Channel) -> Truth:
 
 
 def _take_off(world: World, plant: Plant, session: Session) -> bool:
-    """Say hello until the controller is ready; False if it says goodbye."""
+    """Say hello until the controller is ready; False if it says goodbye or is no more."""
     values = (world.dt, float(world.beats), float(len(plant.state)), min(world.speed, 1e300))
-    while True:
+    controller = multiprocessing.parent_process()
+    while controller is None or controller.is_alive():
         session.send(Kind.HELLO, values=values)
         answer = session.receive(_HELLO_EVERY)
         if answer is not None and answer.kind == Kind.GOODBYE:
             return False
         if answer is not None and answer.kind == Kind.HELLO:
             return True
+    return False
 
 
 def _beat(plant: Plant, session: Session, beat: int, due: float, length: float | None) -> bool:
-    """Fly one beat; False if the controller has said goodbye or is gone."""
+    """Fly one beat; False if the controller has said goodbye or is gone.
+
+    In the last beat goodbye is no reason to stop short: the controller says it when its last command is out, and that
+    may have been lost.
+    """
     world = plant.world
     number = plant.manoeuvre * world.beats + beat
+    last, over = number == world.manoeuvres * world.beats - 1, False
     if length is not None:
         _sleep_until(due)
     measured = np.zeros(STATES)
@@ -77,11 +86,12 @@ def _beat(plant: Plant, session: Session, beat: int, due: float, length: float |
     session.send(Kind.MEASUREMENT, number, tuple(measured.tolist()))
     plant.next_beat()
     for substep in range(world.substeps):
-        if plant.taken[plant.manoeuvre, beat] < 0:
+        if plant.taken[plant.manoeuvre, beat] < 0 and not over:
             grace = due + GRACE * length if length is not None and substep == 0 else 0.0
             until = time.monotonic() + _PATIENCE if length is None else grace
             heard = _listen(plant, session, number, until)
-            if heard is None or (not heard and length is None):
+            over = heard is None or (not heard and length is None)
+            if over and not last:
                 return False
             if heard:
                 plant.taken[plant.manoeuvre, beat] = substep
@@ -116,9 +126,9 @@ def _sleep_until(moment: float) -> None:
 
 def run(world: World, channel: Channel, report: Any) -> None:
     """Fly in a process of its own and send the truth home through a pipe."""
-    try:
-        report.send(fly(world, channel))
-    except KeyboardInterrupt:  # the controller has heard it too, and ends the session
-        report.send(None)
-    finally:
-        report.close()
+    truth = None
+    with suppress(KeyboardInterrupt):  # the controller has heard it too, and ends the session
+        truth = fly(world, channel)
+    with suppress(OSError):  # nobody waits for it any more
+        report.send(truth)
+    report.close()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,26 +24,23 @@ WORKERS = ("kill", "stall")
 
 @dataclass
 class Faults:
-    """Which faults come when.
+    """Which faults come when; each comes once.
 
     Parameters
     ----------
-    share : float
-        Of the measurements that are hit, 0 to 1.
+    of_beats : dict of int to str
+        What is to be done to the measurement of a beat, of `LINK`.
+    of_windows : dict of int to str
+        What is to be done to the worker who first takes up a window (by its first beat), of `WORKERS`.
     seed : int
-    worker_share : float
-        Of the attempts at a window that are hit.
+        Of what exactly is done.
     stall : float
         Seconds that a stalled worker sleeps.
-    limit : int, optional
-        Faults of the link in all.
-    kinds : tuple of str
-        Of `LINK`.
 
     Attributes
     ----------
     injected : Counter
-        By kind.
+        By kind, so far.
     by_beat : dict of int to str
         What was done to the measurement of a beat.
     given_back : set of int
@@ -53,43 +50,74 @@ class Faults:
         Windows (by their first beat) at which a worker was hit.
     """
 
-    share: float
+    of_beats: dict[int, str]
+    of_windows: dict[int, str] = field(default_factory=dict)
     seed: int = 0
-    worker_share: float = 0.1
     stall: float = 0.5
-    limit: int | None = None
-    kinds: tuple[str, ...] = LINK
 
     def __post_init__(self) -> None:
-        if not 0 <= self.share <= 1:
-            raise InputError(f"faults: a share of {self.share:g} is asked for; give 0 to 1.")
         self.injected: Counter[str] = Counter()
         self.by_beat: dict[int, str] = {}
         self.given_back: set[int] = set()
         self.windows: set[int] = set()
-        self._link = np.random.default_rng([self.seed, 0])
-        self._workers = np.random.default_rng([self.seed, 1])
+        self.random = np.random.default_rng([self.seed, 0])
         self._lock = threading.Lock()
 
+    @classmethod
+    def spread(cls, count: int, beats: int, windows: Sequence[int], seed: int, stall: float) -> Faults:
+        """So many faults over a flight, each kind as likely where there is room for it.
+
+        Parameters
+        ----------
+        count : int
+            Of the link, the sensors and the workers together.
+        beats : int
+            Of the flight; each is hit at most once.
+        windows : sequence of int
+            First beats of the windows at which a worker may be hit, each at most once.
+        seed : int
+        stall : float
+
+        Raises
+        ------
+        InputError
+            If there are more faults than places for them.
+        """
+        if count > beats + len(windows):
+            raise InputError(
+                f"flight: {count} faults are asked for, but {beats} beats and {len(windows)} windows have room for "
+                f"{beats + len(windows)}; ask for fewer, or fly for longer."
+            )
+        random = np.random.default_rng([seed, 1])
+        of_workers = int(random.binomial(count, len(WORKERS) / len(LINK + WORKERS)))
+        of_workers = min(max(of_workers, count - beats), len(windows))
+        hit = random.choice(beats, count - of_workers, replace=False)
+        kinds = random.choice(LINK, len(hit))
+        taken = random.choice(len(windows), of_workers, replace=False) if of_workers else ()
+        done = random.choice(WORKERS, of_workers)
+        return cls(
+            {int(beat): str(kind) for beat, kind in zip(hit, kinds, strict=True)},
+            {windows[int(at)]: str(kind) for at, kind in zip(taken, done, strict=True)},
+            seed,
+            stall,
+        )
+
     def of_link(self, beat: int) -> str | None:
-        """The fault that hits the measurement of a beat, if one does."""
-        if len(self.by_beat) == self.limit or self._link.random() >= self.share:
-            return None
-        kind = str(self._link.choice(self.kinds))
-        self.injected[kind] += 1
-        self.by_beat[beat] = kind
+        """The fault that hits the measurement of a beat now, if one does."""
+        kind = self.of_beats.pop(beat, None)
+        if kind is not None:
+            self._count(kind)
+            self.by_beat[beat] = kind
         return kind
 
     def wrap(self, work: Callable[[], Any], window: int) -> Callable[[], Any]:
         """Work on a window that may kill or stall the worker who takes it up."""
 
         def faulty() -> Any:
-            with self._lock:
-                hit = self._workers.random() < self.worker_share
-                kind = str(self._workers.choice(WORKERS)) if hit else ""
-                if hit:
-                    self.injected[kind] += 1
-                    self.windows.add(window)
+            kind = self.of_windows.pop(window, None)
+            if kind is not None:
+                self._count(kind)
+                self.windows.add(window)
             if kind == "kill":
                 raise Killed
             if kind == "stall":
@@ -97,6 +125,10 @@ class Faults:
             return work()
 
         return faulty
+
+    def _count(self, kind: str) -> None:
+        with self._lock:
+            self.injected[kind] += 1
 
 
 class FaultyChannel:
@@ -138,7 +170,7 @@ class FaultyChannel:
         self._inner.close()
 
     def _hit(self, data: bytes, message: Message) -> None:
-        random = self._faults._link
+        random = self._faults.random
         kind = self._faults.of_link(message.beat)
         self._old.append((message.beat, data))
         if kind == "drop":

@@ -19,14 +19,16 @@ from aerotube.errors import ComputationError
 from aerotube.preparation import Prepared
 from aerotube.runtime import aircraft_process
 from aerotube.runtime.alone import fly_alone
-from aerotube.runtime.channels import Channel, QueueChannel, SocketChannel
+from aerotube.runtime.channels import LOOPBACK, Channel, QueueChannel, SocketChannel
 from aerotube.runtime.commander import Beat, Commander
 from aerotube.runtime.faults import Faults, FaultyChannel
 from aerotube.runtime.guidance import Guidance
 from aerotube.runtime.law import Laws
 from aerotube.runtime.messages import Rung
-from aerotube.runtime.options import Options, make_commander, make_estimator, make_task, make_world
+from aerotube.runtime.options import Options, check_beat, make_commander, make_estimator, make_task, make_world
 from aerotube.runtime.pilot import Pilot
+from aerotube.runtime.planner import window_starts
+from aerotube.runtime.processes import deaf_to_interrupts
 from aerotube.runtime.record import Record
 from aerotube.runtime.session import Session
 from aerotube.runtime.task import Task
@@ -61,6 +63,8 @@ class Flown:
     warm_up, first_window : float
         s before take-off: compiling or loading code, and computing the first window.
     token : int
+    interrupted : bool
+        Ended by Ctrl-C before its last beat.
     """
 
     options: Options
@@ -74,6 +78,7 @@ class Flown:
     warm_up: float
     first_window: float
     token: int = field(repr=False)
+    interrupted: bool = False
 
 
 #: Called with the controller, again and again, while it flies.
@@ -110,17 +115,17 @@ def fly(
     Ctrl-C ends the flight after the beat, and what was flown is returned.
     """
     say = tell or (lambda words: None)
+    check_beat(prepared, options)
     world, task = make_world(prepared, options), make_task(prepared, options)
     guidance = Guidance(prepared.rigid, prepared.nominal, options.replan, options.seed)
     estimator = make_estimator(prepared, options)
     commander = make_commander(prepared, estimator, task.form)
-    beats = world.manoeuvres * world.beats
-    say("starting the aircraft and the watchdog")
+    beats, faults = world.manoeuvres * world.beats, _faults(options, world)
     own = options.port is None
+    say("starting the aircraft and the watchdog" if own else "starting the watchdog")
     home, away = _link(options)
     process, report = _start(world, away, options) if own else (None, None)
     watchdog = Watchdog() if options.link != "thread" else None
-    faults = _faults(options, world)
     workers = Workers(2)  # a window's, and one more so that a stalled one does not hold up the next window
     channel: Channel = home if faults is None else FaultyChannel(home, faults)
     session = Session(channel, world.token if own else None)
@@ -133,11 +138,14 @@ def fly(
         warm_up = _warm_up(prepared, commander, task)
         say(f"code ready in {warm_up:.1f} s; computing the first window")
         first_window = pilot.prepare()
-        say(f"first window in {first_window:.2f} s; take-off")
+        say(f"first window in {first_window:.2f} s")
+        if not own:
+            for words in _waiting(options):
+                say(words)
         sys.setswitchinterval(_SWITCH)
         gc.collect()
         gc.freeze()
-        _run(pilot, view)
+        _run(pilot, say, view)
     finally:
         if view is not None and hasattr(view, "close"):
             view.close()
@@ -151,16 +159,40 @@ def fly(
         home.close()
     alone = None if truth is None or not truth.flown_manoeuvres else fly_alone(world, truth, pilot.record)
     return Flown(
-        options, prepared, pilot.record, world, truth, alone, faults, thefts, warm_up, first_window, world.token
+        options=options,
+        prepared=prepared,
+        record=pilot.record,
+        world=world,
+        truth=truth,
+        alone=alone,
+        faults=faults,
+        thefts=thefts,
+        warm_up=warm_up,
+        first_window=first_window,
+        token=world.token,
+        interrupted=pilot.stop.is_set() and pilot.record.flown < beats,
     )
+
+
+def _waiting(options: Options) -> list[str]:
+    """What is said before another's aircraft is there."""
+    words = [f"waiting for an aircraft at UDP port {options.port} ({LOOPBACK}); Ctrl-C ends"]
+    if options.replan:
+        words.append(
+            "the nominal that commands follow is moved at every window; the aircraft is not told, and need not be"
+        )
+    return words
 
 
 def _faults(options: Options, world: World) -> Faults | None:
     if not options.faults:
         return None
-    share = min(1.0, 1.2 * options.faults / (world.manoeuvres * world.beats))
     lead = options.window * world.dt / options.speed
-    return Faults(share, options.seed, worker_share=0.2, stall=3.0 * lead, limit=options.faults)
+    windows = window_starts(world.manoeuvres * world.beats, world.beats, options.window)
+    # the first window is computed before take-off
+    return Faults.spread(
+        options.faults, world.manoeuvres * world.beats, windows[1:], seed=options.seed, stall=3.0 * lead
+    )
 
 
 def _link(options: Options) -> tuple[Any, Any]:
@@ -182,7 +214,8 @@ def _start(world: World, channel: Any, options: Options) -> tuple[Any, Any]:
         return thread, report
     process = context.Process(target=aircraft_process.run, args=(world, channel, away), name="aircraft", daemon=True)
     try:
-        process.start()
+        with deaf_to_interrupts():
+            process.start()
     except OSError as error:
         raise ComputationError(f"flight: the aircraft's process does not start ({error}).") from None
     away.close()
@@ -210,7 +243,7 @@ def _warm_up(prepared: Prepared, commander: Commander, task: Task) -> float:
     return time.perf_counter() - clock
 
 
-def _run(pilot: Pilot, view: View | None) -> None:
+def _run(pilot: Pilot, say: Callable[[str], None], view: View | None) -> None:
     """Fly in a thread of its own; this one shows it and hears Ctrl-C."""
     failure: list[BaseException] = []
 
@@ -222,13 +255,20 @@ def _run(pilot: Pilot, view: View | None) -> None:
 
     thread = threading.Thread(target=work, name="controller")
     thread.start()
+    off = False
     while thread.is_alive():
         try:
-            if view is not None:
+            if not off and pilot.met.wait(0.2):
+                off = True
+                say("take-off")
+            if off and view is not None:
                 view(pilot)
-            thread.join(0.2)
+            thread.join(0.2 if off else 0.0)
         except KeyboardInterrupt:
             pilot.stop.set()
+        except Exception as error:  # of the view: what flies is not to be left alone for it
+            view = None
+            say(f"the live view has failed ({type(error).__name__}: {error}); the flight goes on without it")
     if failure:
         raise failure[0]
 

@@ -74,6 +74,12 @@ class Ladder:
         self.lqr: dict[int, Array] = {}
         self.earlier: dict[int, tuple[Chosen, Nominal]] = {}
         self.earlier_lqr: dict[int, Array] = {}
+        self._over = -1  # the last beat that is let go of
+
+    def decide(self, beats: range, nominal: Nominal) -> None:
+        """Say along what beats will be flown, those that are still to come."""
+        for beat in beats[max(self._over + 1 - beats.start, 0) :]:
+            self.nominals[beat] = nominal
 
     def nominal(self, beat: int) -> Nominal:
         """What a beat is flown along."""
@@ -101,21 +107,27 @@ class Ladder:
         return self._uncertified(np.zeros((4, 8)), Rung.NOMINAL), True
 
     def install(self, window: Window, manoeuvre: int, nominal: Nominal) -> None:
-        """Put the laws of a window, and what is known behind it, where the beats will look for them."""
+        """Put the laws of a window, and what is known behind it, where the beats will look for them.
+
+        Beats that are over do not look again: a late window leaves nothing there but what later manoeuvres may use.
+        """
         start = manoeuvre * self._horizon
         (metric,) = regrouped(window.metric, self._parts, COUPLED)
         for j, beat in enumerate(window.beats + start):
             own, certified = j < window.window, bool((window.rungs[j] <= Rung.LAST).all())
             chosen = Chosen(window.laws[j], window.rungs[j], window.size[j], window.kinds[j], metric[j])
-            if own or certified:
+            if (own or certified) and beat > self._over:
                 (self.planned if own else self.held)[int(beat)] = chosen
             if own and certified:
                 self.earlier[int(beat) % self._horizon] = chosen, nominal
         for number, gain in enumerate(window.lqr, int(window.beats[0])):
-            self.lqr[start + number] = self.earlier_lqr[number] = gain
+            self.earlier_lqr[number] = gain
+            if start + number > self._over:
+                self.lqr[start + number] = gain
 
     def forget(self, beat: int) -> None:
-        """Let go of what was there for a beat that is over."""
+        """Let go of what was there for a beat that is over; beats end in their order."""
+        self._over = max(self._over, beat)
         for store in (self.planned, self.held, self.lqr, self.nominals):
             store.pop(beat, None)
 

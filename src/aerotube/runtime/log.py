@@ -16,7 +16,7 @@ from aerotube.results import provenance, whole_file
 from aerotube.results.record import CONTROL_UNITS, CONTROLS, STATE_UNITS, STATES
 from aerotube.runtime.flight import Flown
 from aerotube.runtime.messages import Rung
-from aerotube.runtime.options import flown_settings
+from aerotube.runtime.options import flown_options, flown_settings
 from aerotube.runtime.outcome import deadlines, errors_flown, summarise
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 #: Raised by one in its last place when a variable is added, in its first when one is renamed or removed.
 SCHEMA_VERSION = "2.0"
+TITLE = "aerotube flight log"
 
 
 def to_dataset(flown: Flown) -> xr.Dataset:
@@ -81,12 +82,12 @@ def _described(flown: Flown, start: float) -> xr.Dataset:
         },
         attrs=provenance(flown.prepared.source)
         | {
-            "title": "aerotube flight log",
+            "title": TITLE,
             "schema_version": SCHEMA_VERSION,
             "options": json.dumps(asdict(flown.options)),
+            "options_flown": json.dumps(flown_options(flown.prepared, flown.options)),
             "summary": json.dumps(summarise(flown)),
             "refused": json.dumps(dict(record.refused)),
-            "injected": json.dumps({} if flown.faults is None else dict(flown.faults.injected)),
             "events": json.dumps([[round(when - start, 6), words] for when, words in record.events]),
             "certified": json.dumps(certified),
             "warm_up_seconds": flown.warm_up,
@@ -130,7 +131,7 @@ def _put_beats(out: xr.Dataset, flown: Flown, start: float) -> None:
         put(name, ("beat",), getattr(record, name)[:count] - start, words, "s")
     put("law_late", ("beat",), record.law_late[:count], "the beat's window was not there")
     put("missed", ("beat",), missed.missed, "deadline missed")
-    put("unexplained", ("beat",), missed.unexplained, "missed, and the machine stole less than the lateness")
+    put("unexplained", ("beat",), missed.unexplained, "missed, and neither a fault nor the machine explains it")
     put("fault", ("beat",), [injected.get(g, "") for g in range(count)], "fault injected into the measurement")
 
 
@@ -185,8 +186,11 @@ def read(path: Path) -> xr.Dataset:
         raise InputError(f"log {path}: no such file; `aerotube fly` writes one") from None
     except (OSError, ValueError) as error:
         raise InputError(f"log {path} cannot be read ({str(error).splitlines()[0]}); give a flight.nc") from None
-    if str(dataset.attrs.get("schema_version", "")).split(".")[0] != SCHEMA_VERSION.split(".")[0] or (
-        "command" not in dataset
-    ):
-        raise InputError(f"log {path} is no flight's, or of another version; give a flight.nc of this version")
+    if dataset.attrs.get("title") != TITLE:
+        raise InputError(f"{path} is no log of a flight; give a flight.nc, as `aerotube fly` writes one")
+    version = str(dataset.attrs.get("schema_version", ""))
+    if version.split(".")[0] != SCHEMA_VERSION.split(".")[0]:
+        raise InputError(
+            f"log {path} is of version {version or '?'}, this program reads {SCHEMA_VERSION}; fly the scenario again"
+        )
     return dataset

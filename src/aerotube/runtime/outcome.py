@@ -27,15 +27,23 @@ class Deadlines:
     Attributes
     ----------
     missed : ndarray (g,) of bool
-    unexplained : ndarray (g,) of bool
-        Of these, those for which the machine stole less time than they were late, and no worker was hit on purpose.
+    by_fault : ndarray (g,) of bool
+        Of these, those whose laws were late because an injected fault killed or stalled the worker of their window.
+    by_machine : ndarray (g,) of bool
+        Of the others, those for which the machine stole no less time than they were late.
     lateness : ndarray (g,)
         s; zero where nothing was late.
     """
 
     missed: NDArray[np.bool_]
-    unexplained: NDArray[np.bool_]
+    by_fault: NDArray[np.bool_]
+    by_machine: NDArray[np.bool_]
     lateness: Array
+
+    @property
+    def unexplained(self) -> NDArray[np.bool_]:
+        """Missed, and neither a fault nor the machine is why."""
+        return self.missed & ~self.by_fault & ~self.by_machine
 
 
 def errors_flown(flown: Flown) -> Array | None:
@@ -49,7 +57,7 @@ def errors_flown(flown: Flown) -> Array | None:
 
 
 def deadlines(flown: Flown) -> Deadlines:
-    """Which beats missed their deadline, and whether the machine is to blame.
+    """Which beats missed their deadline, and whether an injected fault or the machine is to blame.
 
     A beat has missed its deadline if its window of laws was not there when its measurement was, or if its command
     was not with the aircraft within `GRACE` of the beat (by the aircraft's own log where there is one). Measurements
@@ -77,18 +85,43 @@ def deadlines(flown: Flown) -> Deadlines:
             late_command[spoiled] &= over[spoiled] > 0
         lateness[late_command] = np.maximum(lateness, np.nan_to_num(over, nan=length))[late_command]
     missed = late_law | late_command
-    unexplained = np.zeros(count, bool)
-    for g in np.flatnonzero(missed):
+    by_fault, by_machine = late_law & _hit(flown), np.zeros(count, bool)
+    for g in np.flatnonzero(missed & ~by_fault):
         window = windows.get(int(g))
         begin = record.due[g] - length
         if late_law[g] and window is not None:
             begin = min(begin, window.asked)
         end = np.nanmax([record.sent[g], record.due[g] + length])
-        if late_law[g] and window is not None and flown.faults is not None and window.first in flown.faults.windows:
-            continue
         theft = stolen(flown.thefts, begin, end)
-        unexplained[g] = not (theft > 0 and theft >= lateness[g])
-    return Deadlines(missed, unexplained, lateness)
+        by_machine[g] = theft > 0 and theft >= lateness[g]
+    return Deadlines(missed, by_fault, by_machine, lateness)
+
+
+def _hit(flown: Flown) -> NDArray[np.bool_]:
+    """Beats of windows at which a worker was hit by an injected fault: (g,)."""
+    beats = np.arange(flown.record.flown)
+    number = beats % flown.world.beats
+    starts = beats - number + number // flown.options.window * flown.options.window
+    hit = [] if flown.faults is None else sorted(flown.faults.windows)
+    return np.isin(starts, hit)
+
+
+def ended(flown: Flown) -> str:
+    """How the flight ended.
+
+    Returns
+    -------
+    str
+        "whole"; "interrupted" by the user; "early": another's aircraft ended it; "behind": the aircraft had not flown
+        its manoeuvres to their end when the controller was done; "lost": its log did not come home.
+    """
+    if flown.interrupted:
+        return "interrupted"
+    if flown.options.port is not None:
+        return "whole" if flown.record.flown == flown.record.beats else "early"
+    if flown.truth is None:
+        return "lost"
+    return "whole" if flown.truth.flown_manoeuvres == flown.world.manoeuvres else "behind"
 
 
 def _beat_seconds(flown: Flown) -> float:
@@ -132,7 +165,11 @@ def summarise(flown: Flown) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``beats``; ``missed_deadlines`` and, of them, ``missed_unexplained``; ``fallbacks`` by kind (beats);
+        ``beats`` and the ``seconds`` of flight that they are, of so many ``seconds_asked``; ``ended``, see
+        :func:`ended`; ``broken_off``, the beats of a manoeuvre that was not flown to its end, of which the aircraft
+        has no log; ``missed_deadlines``, and of them ``missed_explained`` by what explains them (``fault``: one was
+        injected into the worker of the beat's window; ``machine``: it stole the time) and ``missed_unexplained``;
+        ``faults`` injected, by kind; ``fallbacks`` by kind (beats);
         ``certificates`` by kind (beats, by the part that has the least; "none": no tube is claimed); ``promises`` of
         their tubes, see :func:`~aerotube.runtime.promises.promises`; ``mae`` and ``rmse`` of Eq. 18 over all
         manoeuvres, without compensation and with it; ``latency_us`` from measurement to command; ``realtime_factor`` of
@@ -145,11 +182,18 @@ def summarise(flown: Flown) -> dict[str, Any]:
         for key, function in (("mae", mean_absolute_error), ("rmse", root_mean_square_error)):
             value = None if errors is None else float(function(error_metric(errors).reshape(-1)))
             figures[key][name] = value if value is not None and np.isfinite(value) else None
-    spans = 1e6 * latency(flown)
+    spans, beats = 1e6 * latency(flown), int(flown.record.flown)
+    whole = beats if flown.truth is None else flown.truth.flown_manoeuvres * flown.world.beats
     return {
-        "beats": int(flown.record.flown),
+        "beats": beats,
+        "seconds": beats * flown.world.dt,
+        "seconds_asked": flown.options.duration,
+        "ended": ended(flown),
+        "broken_off": max(beats - whole, 0),
         "missed_deadlines": int(missed.missed.sum()),
+        "missed_explained": {"fault": int(missed.by_fault.sum()), "machine": int(missed.by_machine.sum())},
         "missed_unexplained": int(missed.unexplained.sum()),
+        "faults": {} if flown.faults is None else dict(sorted(flown.faults.injected.items())),
         "fallbacks": flown.record.fallbacks(),
         "certificates": flown.record.certificates(),
         "promises": promises(flown),

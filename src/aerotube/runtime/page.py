@@ -14,6 +14,7 @@ from aerotube.runtime import log
 from aerotube.runtime.limits import what_limits
 from aerotube.runtime.outcome import summarise
 from aerotube.runtime.pictures import flight_figure, timeline_figure
+from aerotube.runtime.words import broken_off, duration, injected, promised
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -97,7 +98,6 @@ def build(dataset: xr.Dataset, figures: dict[str, Path]) -> str:
     """
     summary, options = (json.loads(str(dataset.attrs[key])) for key in ("summary", "options"))
     version = str(dataset.attrs.get("aerotube_version", ""))
-    seconds = summary["beats"] * float(dataset.attrs["beat_seconds"])
     sections = [
         ("tracking", "States and controls", _tracking(figures)),
         ("limits", "What limits the tracking", _limits(dataset)),
@@ -105,12 +105,12 @@ def build(dataset: xr.Dataset, figures: dict[str, Path]) -> str:
         ("certificates", "What stands behind the laws", _certificates(dataset, summary)),
         ("fallbacks", "Fallbacks and faults", _fallbacks(dataset, summary)),
         ("recomputation", "Recomputation", _recomputation(dataset, options)),
-        ("options", "Options", _table({name: str(value) for name, value in options.items()})),
+        ("options", "Options", _table(json.loads(str(dataset.attrs["options_flown"])))),
     ]
     return fill(
         title=f"Flight: {dataset.attrs.get('scenario_title', '')}",
         lead=(
-            f"{summary['beats']} beats, {seconds:.1f} s of flight, {options['speed']:g} s of it in one second of the "
+            f"{summary['beats']} beats, {duration(summary)}, {options['speed']:g} s of it in one second of the "
             f"clock; flown {dataset.attrs.get('created', '')} with aerotube {version}."
         ),
         sections=sections,
@@ -126,9 +126,14 @@ def _cards(summary: dict[str, Any]) -> str:
         if none and compensated is not None:
             share = f"−{100 * (1 - compensated / none):.0f} %"
             cards.append((words, share, f"{none:.3f} → {compensated:.3f} (Eq. 18, deg)"))
-    missed, unexplained = summary["missed_deadlines"], summary["missed_unexplained"]
+    number, explained = str(summary["missed_deadlines"]), summary["missed_explained"]
     cards.append(
-        ("Missed deadlines", str(missed), f"of {summary['beats']} beats; {unexplained} not the machine's doing")
+        (
+            "Missed deadlines",
+            number,
+            f"of {summary['beats']} beats; {explained['fault']} by injected faults, {explained['machine']} by the "
+            f"machine, {summary['missed_unexplained']} unexplained",
+        )
     )
     span, factor = summary["latency_us"], summary["realtime_factor"]
     if span["median"] is not None:
@@ -177,8 +182,9 @@ def _deadlines(dataset: xr.Dataset, summary: dict[str, Any], figures: dict[str, 
     longest = 1e3 * float(dataset["theft"].values[:, 1].max()) if dataset.sizes["theft_number"] else 0.0
     return (
         "<p>A beat misses its deadline if its laws are not there when its measurement is, or if its command is not "
-        "with the aircraft within 30 % of the beat. A miss is explained if the machine stole at least as much time as "
-        "was missing on one of its cores; processes that only sleep measure that: "
+        "with the aircraft within 30 % of the beat. A miss is explained by an injected fault if one killed or stalled "
+        "the worker of the beat's window, else by the machine if that stole at least as much time as was missing on "
+        "one of its cores; processes that only sleep measure that: "
         f"{stolen:.0f} ms in all, {longest:.1f} ms at most at once. Code was compiled or loaded in "
         f"{float(dataset.attrs['warm_up_seconds']):.1f} s and the first window "
         f"computed in {float(dataset.attrs['first_window_seconds']):.2f} s, both before take-off.</p>"
@@ -191,6 +197,7 @@ def _certificates(dataset: xr.Dataset, summary: dict[str, Any]) -> str:
     rows = "".join(
         f'<tr><td class="n">{count}</td><td>{escape(_CERTIFICATES[kind])}</td></tr>' for kind, count in counts.items()
     )
+    kept = [promised(summary["promises"]), *([broken_off(summary)] if summary["broken_off"] else [])]
     stated = json.loads(str(dataset.attrs["certified"]))
     error, gust = stated["measurement_error"], stated["gust"]
     heard = (
@@ -207,18 +214,7 @@ def _certificates(dataset: xr.Dataset, summary: dict[str, Any]) -> str:
         f"{stated['samples']} for each beat, so that the tube is exceeded on no more than "
         f"{100 * stated['share']:.1f} % of the set, with a confidence of {100 * stated['confidence']:g} %.</p>"
         f'<div class="scroll"><table><tr><th class="n">beats</th><th>whose law has</th></tr>{rows}</table></div>'
-        + _kept(summary["promises"])
-    )
-
-
-def _kept(promises: dict[str, int] | None) -> str:
-    if promises is None:
-        return "<p>Whether this flight kept to its tubes is not looked at: they do not know how it was flown.</p>"
-    left = promises["left"]
-    return (
-        f"<p>Of {promises['certified']} certified beats, {promises['promised']} started inside the sets of their "
-        "tubes: errors, their measurement, parameters and air. Of these, "
-        f"{'none' if left == 0 else left} ended outside the tube.</p>"
+        + "".join(f"<p>{escape(line[0].upper() + line[1:])}.</p>" for line in kept)
     )
 
 
@@ -233,10 +229,12 @@ def _fallbacks(dataset: xr.Dataset, summary: dict[str, Any]) -> str:
         f'<tr><td class="n">{clamped}</td>'
         "<td>had a control held at its limit by the clamp</td></tr></table></div>"
     )
-    for key, words in (("injected", "Faults injected"), ("refused", "Refused on the way in")):
-        counts = json.loads(str(dataset.attrs[key]))
-        if counts:
-            body += f"<p>{words}: " + escape(", ".join(f"{n} {name}" for name, n in sorted(counts.items()))) + ".</p>"
+    if summary["faults"]:
+        body += f"<p>{escape(injected(summary['faults']))}.</p>"
+    counts = json.loads(str(dataset.attrs["refused"]))
+    if counts:
+        words = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
+        body += f"<p>Refused on the way in: {escape(words)}.</p>"
     events = json.loads(str(dataset.attrs["events"]))
     if events:
         items = "".join(f"<li>{when:.3f} s: {escape(words)}</li>" for when, words in events[:100])
@@ -257,7 +255,9 @@ def _recomputation(dataset: xr.Dataset, options: dict[str, Any]) -> str:
     saving = 1e-3 * each["design"] * kept - spent["check"]
     return (
         f"<p>A law of the manoeuvre before was kept where its certified tube on the new nominal was at most "
-        f"{100 * options['tolerance']:g} % larger than where it was made, and its controls kept their limits there. "
+        f"{100 * options['tolerance']:g} % larger than where it was made, and its controls kept there, on the box or "
+        "the ellipsoid of errors on which the settings want them, their limits and, where rates are limited, their "
+        "share of the rate. "
         f"Kept: {kept} of {beats} beats ({100 * kept / max(beats, 1):.0f} %). Time spent: {spent['check']:.2f} s on "
         f"checking ({each['check']:.1f} ms a beat), {spent['design']:.2f} s on designing anew ({each['design']:.1f} ms "
         f"a beat), {spent['certify']:.2f} s on certifying. Against designing every beat, checking and keeping "

@@ -44,6 +44,8 @@ class Pilot:
     Attributes
     ----------
     record : Record
+    met : threading.Event
+        Set when the aircraft has said hello: take-off.
     stop : threading.Event
         Set from outside, ends the flight after the beat.
     """
@@ -63,7 +65,7 @@ class Pilot:
         self.beats, self.clocked = beats, bool(np.isfinite(speed))
         self.horizon = guidance.planned.beats
         self.record = Record(beats, 16, len(task.settings.parts), task.form)
-        self.stop = threading.Event()
+        self.met, self.stop = threading.Event(), threading.Event()
         length = guidance.planned.dt / speed if self.clocked else 0.0
         self._ladder = Ladder(task, guidance.planned)
         self._planner = Planner(task, guidance, workers, self._ladder, self.record, length, faults)
@@ -77,6 +79,7 @@ class Pilot:
         """Fly until the last beat, goodbye, or `stop`."""
         if not self._listener.meet(self.stop):
             return
+        self.met.set()
         beat, early = 0, None
         while beat < self.beats and not self.stop.is_set():
             self._rehearse(beat)

@@ -20,6 +20,11 @@ from aerotube.runtime.workers import Job, Workers
 _SOLVING = 0.85  # share of the time until a window is needed that its laws' design may take
 
 
+def window_starts(beats: int, horizon: int, window: int) -> list[int]:
+    """First beats, from take-off, of the windows of a flight of so many beats, manoeuvre by manoeuvre."""
+    return [start for m in range(0, beats, horizon) for start in range(m, m + horizon, window)]
+
+
 class Planner:
     """Has the windows of a flight computed, each while the one before it is flown, and puts them on the ladder.
 
@@ -52,9 +57,8 @@ class Planner:
         self.ladder, self.record, self.length, self.faults = ladder, record, length, faults
         self.horizon = guidance.planned.beats
         self._windows = [
-            (m * self.horizon + first, min(task.window, self.horizon - first))
-            for m in range(-(-record.beats // self.horizon))
-            for first in range(0, self.horizon, task.window)
+            (start, min(task.window, self.horizon - start % self.horizon))
+            for start in window_starts(record.beats, self.horizon, task.window)
         ]
         self._asked = 0
         self._asked_for: dict[int, Nominal] = {}
@@ -101,8 +105,7 @@ class Planner:
         start, count = self._windows[self._asked]
         manoeuvre, first = divmod(start, self.horizon)
         nominal = self.guidance.update(manoeuvre, first)
-        for beat in range(start, (manoeuvre + 1) * self.horizon):
-            self.ladder.nominals[beat] = nominal
+        self.ladder.decide(range(start, (manoeuvre + 1) * self.horizon), nominal)
         self._asked_for[start] = nominal
         lead = np.inf
         if self.length and self._asked:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -112,12 +113,17 @@ def _numbers(pilot: Pilot) -> Table:
 
 
 def _events(pilot: Pilot) -> list[Text]:
-    refused = pilot.session.refused + pilot.record.refused
+    refused = _copied(pilot.session.refused) + _copied(pilot.record.refused)
     lines = []
     if refused:
         lines.append(Text("refused  " + ", ".join(f"{n} {words}" for words, n in refused.most_common(6)), "yellow"))
     lines += [Text(f"         {words}", "dim") for _, words in pilot.workers.events[-3:]]
     return [Text(), *lines] if lines else []
+
+
+def _copied(counts: Counter[str]) -> Counter[str]:
+    """What another thread goes on counting in, in one step: looked through, it would not bear a new key."""
+    return Counter(dict(counts))
 
 
 class LiveView:
@@ -127,14 +133,14 @@ class LiveView:
         self._console = console or Console(stderr=True)
         self._live: Any = None
         self._told = time.monotonic()
-        if self._console.is_terminal:
+
+    def __call__(self, pilot: Pilot) -> None:
+        """Show it."""
+        if self._live is None and self._console.is_terminal:
             from rich.live import Live
 
             self._live = Live(console=self._console, auto_refresh=False)
             self._live.start()
-
-    def __call__(self, pilot: Pilot) -> None:
-        """Show it."""
         if self._live is not None:
             self._live.update(render(pilot), refresh=True)
         elif time.monotonic() - self._told > 10.0:

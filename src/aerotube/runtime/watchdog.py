@@ -8,10 +8,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import time
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from aerotube.runtime.processes import deaf_to_interrupts
 
 Array = NDArray[np.float64]
 
@@ -53,7 +56,8 @@ def measure(stop: Any, report: Any, core: int | None = None, period: float = PER
             before = now
     except (KeyboardInterrupt, OSError, EOFError):
         pass
-    report.send((found, trouble))
+    with suppress(OSError):  # nobody waits for it any more
+        report.send((found, trouble))
     report.close()
 
 
@@ -75,7 +79,8 @@ class Watchdog:
             stopped, stop = context.Pipe(duplex=False)
             report, reported = context.Pipe(duplex=False)
             process = context.Process(target=measure, args=(stopped, reported, core), daemon=True)
-            process.start()
+            with deaf_to_interrupts():
+                process.start()
             stopped.close()
             reported.close()
             self._watches.append((process, stop, report))

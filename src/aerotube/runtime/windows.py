@@ -5,13 +5,16 @@ measurement decides what else may be flown there:
 
 * a law stopped at the solver's deadline, if its size is certified;
 * the law of an earlier beat, where a beat has none of its own, if its size has a certificate too, if it keeps the
-  controls within their limits, and if, to first order and measured exactly, it leaves errors no larger than the nominal
-  alone would (an error of the measurement adds to every law's size, and nothing to the nominal's);
+  limits (see below), and if, to first order and measured exactly, it leaves errors no larger than the nominal alone
+  would (an error of the measurement adds to every law's size, and nothing to the nominal's);
 * the law that the last manoeuvre flew at the same beat, if the nominal has moved by no more than it tolerates: its
   certified size on the new nominal is at most a stated factor of its size where it was made, in the same metric, and
-  it keeps the controls within their limits there. Then nothing is designed anew (event-triggered recomputation).
+  it keeps the limits there. Then nothing is designed anew (event-triggered recomputation).
 
-A law that saturates keeps the controls within their limits by cutting itself off, and the cut is in what is measured.
+A law keeps the limits of a nominal if it keeps the controls, for all errors as they are measured (of the disturbance
+box, or where `limits = "ellipsoid"` of the ellipsoid around it), within the room that this nominal leaves there, and,
+where there are `rate_limits`, within its share of what the nominal's own changes leave of the rate. A law that
+saturates keeps them by cutting itself off, and the cut is in what is measured.
 
 Sizes are those of :func:`aerotube.compensation.flown_size`, and every one of them says what stands behind it: samples
 of the aircraft as it flies ("sampled") unless the settings ask for less, or the polynomial through the closed loop at
