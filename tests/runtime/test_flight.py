@@ -159,8 +159,11 @@ def test_faults_are_survived_logged_and_never_leave_the_limits(chosen):
     flown = fly(prepared, options)
     record, faults = flown.record, flown.faults
     assert record.flown == 720
-    assert sum(faults.injected.values()) == 300
-    assert sum(summarise(flown)["faults"].values()) == 300
+    # all but those whose beat or window the flight did not get to: the last beat of a late flight has no measurement
+    left = len(faults.of_beats) + len(faults.of_windows)
+    assert sum(faults.injected.values()) == 300 - left
+    assert left < 10
+    assert summarise(flown)["faults"] == faults.injected
     commands = record.command[np.isfinite(record.command[:, 0])]
     assert (commands >= flown.world.aircraft.control_lower).all()
     assert (commands <= flown.world.aircraft.control_upper).all()
