@@ -2,10 +2,12 @@
 
 import copy
 import json
+import signal
 import socket
 import struct
 import threading
 import zlib
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -227,6 +229,19 @@ def test_an_interrupted_flight_says_which_beats_are_not_looked_at(prepared):
     words = told(summary)
     assert words[0].startswith("interrupted")
     assert not summary["broken_off"] or broken_off(summary) in words
+
+
+def test_an_interruption_that_gets_lost_in_the_preparations_is_heeded(prepared):
+    """As in a callback of the compiler's, which drops what is raised in it."""
+
+    def tell(words):
+        if words.startswith("compiling"):
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+
+    flown = fly(prepared, CALM, tell)
+    assert flown.interrupted
+    assert flown.record.flown == 0
 
 
 def test_a_view_that_fails_ends_alone(prepared):

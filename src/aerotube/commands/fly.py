@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from aerotube.commands.common import FAILED, FINE, Interrupted, interruptible
+from aerotube.commands.common import FAILED, FINE, NOTHING, interruptible
 from aerotube.errors import InputError
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def fly(
 
     Example: aerotube fly --duration 60
     """
-    with interruptible():
+    with interruptible(NOTHING):
         if replay is not None:
             _replay(replay, [name for name in _given(context) if name != "--replay"])
             return
@@ -138,11 +138,13 @@ def _fly(scenario: Path | None, overrides: dict[str, str], options: Options, out
         ensure_folder(out)
         flown = take_off(prepared, options, say, None if headless else LiveView(console))
         if flown.interrupted and not flown.record.flown:
-            raise Interrupted
-        summary = save(flown, out)
-    _print(summary, out)
-    if flown.interrupted:
-        raise Interrupted
+            raise KeyboardInterrupt
+        with interruptible():
+            summary = save(flown, out)
+    with interruptible():
+        _print(summary, out)
+        if flown.interrupted:
+            raise KeyboardInterrupt
     failed = not summary["beats"] or summary["ended"] in ("behind", "lost") or summary["missed_unexplained"]
     raise typer.Exit(FAILED if failed else FINE)
 

@@ -28,7 +28,7 @@ from aerotube.runtime.messages import Rung
 from aerotube.runtime.options import Options, check_beat, make_commander, make_estimator, make_task, make_world
 from aerotube.runtime.pilot import Pilot
 from aerotube.runtime.planner import window_starts
-from aerotube.runtime.processes import deaf_to_interrupts
+from aerotube.runtime.processes import deaf_to_interrupts, on_interrupt
 from aerotube.runtime.record import Record
 from aerotube.runtime.session import Session
 from aerotube.runtime.task import Task
@@ -134,18 +134,19 @@ def fly(
     # threads of BLAS that wait for work by spinning would take the cores from the aircraft and the solver
     blas = threadpool_limits(limits=1, user_api="blas")
     try:
-        say("compiling, or loading compiled code")
-        warm_up = _warm_up(prepared, commander, task)
-        say(f"code ready in {warm_up:.1f} s; computing the first window")
-        first_window = pilot.prepare()
-        say(f"first window in {first_window:.2f} s")
-        if not own:
-            for words in _waiting(options):
-                say(words)
-        sys.setswitchinterval(_SWITCH)
-        gc.collect()
-        gc.freeze()
-        _run(pilot, say, view)
+        with on_interrupt(pilot.stop.set):
+            say("compiling, or loading compiled code")
+            warm_up = _warm_up(prepared, commander, task)
+            say(f"code ready in {warm_up:.1f} s; computing the first window")
+            first_window = pilot.prepare()
+            say(f"first window in {first_window:.2f} s")
+            if not own:
+                for words in _waiting(options):
+                    say(words)
+            sys.setswitchinterval(_SWITCH)
+            gc.collect()
+            gc.freeze()
+            _run(pilot, say, view)
     finally:
         if view is not None and hasattr(view, "close"):
             view.close()

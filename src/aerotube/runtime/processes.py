@@ -1,11 +1,13 @@
-"""Processes beside the controller's."""
+"""Processes beside the controller's, and who of them all hears Ctrl-C."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
+from types import FrameType
 
 
 @contextmanager
@@ -24,3 +26,26 @@ def deaf_to_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def on_interrupt(note: Callable[[], None]) -> Iterator[None]:
+    """Have Ctrl-C noted in this block, beside what else it does.
+
+    The exception that it raises is lost where it falls into a callback of other code, as of a compiler's.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield
+        return
+    usual = before
+
+    def heard(number: int, frame: FrameType | None) -> None:
+        note()
+        usual(number, frame)
+
+    signal.signal(signal.SIGINT, heard)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
