@@ -13,7 +13,6 @@ from aerotube.compensation import exact_map
 from aerotube.compensation.closed_loop import end_errors
 from aerotube.compensation.exact_design import design_groups, measurement_box
 from aerotube.compensation.groundwork import Groundwork, groundwork, taken
-from aerotube.compensation.groundwork import available_increments as available_increments
 from aerotube.compensation.increment_design import design_increments
 from aerotube.compensation.law import LinearLaw, PolynomialLaw, assembled
 from aerotube.compensation.settings import SynthesisSettings

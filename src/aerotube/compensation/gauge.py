@@ -21,8 +21,8 @@ from aerotube.compensation.forecast import Forecast
 from aerotube.compensation.groundwork import (
     Groundwork,
     PartGround,
-    available_increments,
     check_reach,
+    control_room,
     effort_weights,
     own_alone,
     taken,
@@ -222,14 +222,13 @@ def _local_ground(
     weights = tracking_weights(nominal.states[beats + 1], coordinates)
     seen = coordinates.box(starts, (1.0 + settings.measurement_error) * disturbance.half_widths)
     parts = []
-    for part in settings.parts:
+    rooms = control_room(aircraft, nominal, settings, coordinates, seen, beats)
+    for part, (lower, upper) in zip(settings.parts, rooms, strict=True):
         e, c = np.array(part.errors), np.array(part.controls)
-        reach = seen * (np.sqrt(len(e)) if settings.limits == "ellipsoid" else 1.0)
-        lower, upper = available_increments(aircraft, starts, nominal.controls[beats], coordinates, reach)
         metric = riccati(A[:, e[:, None], e], B[:, e[:, None], c], weights[:, e[:, None], e], effort[:, c[:, None], c])
         initial = initial_ellipsoid(disturbance, coordinates, starts, part)
         joint = own_alone(metric[own], part, 8)
-        parts.append(PartGround(taken(initial, own), metric[own], joint, lower[own][:, c], upper[own][:, c]))
+        parts.append(PartGround(taken(initial, own), metric[own], joint, lower[own], upper[own]))
     moment = np.zeros((count, 8, 8))
     moment[:, np.arange(8), np.arange(8)] = coordinates.box(starts, disturbance.half_widths) ** 2 / 3.0
     return Groundwork(

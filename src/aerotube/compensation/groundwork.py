@@ -21,7 +21,6 @@ from aerotube.compensation.forecast import Forecast, forecast
 from aerotube.compensation.sets import InitialEllipsoid, initial_ellipsoid
 from aerotube.compensation.settings import Part, SynthesisSettings
 from aerotube.dynamics import ErrorCoordinates, Linearisation, error_map, taylor_map
-from aerotube.dynamics.error_kernels import moved_each
 from aerotube.errors import InputError
 from aerotube.nominal import Nominal
 from aerotube.tube import (
@@ -37,6 +36,7 @@ Array = NDArray[np.float64]
 Arrays = TypeVar("Arrays")
 
 _KEPT = 8
+_CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=8)))
 _made: OrderedDict[Any, tuple[Aircraft, Groundwork]] = OrderedDict()
 _lock = threading.Lock()
 
@@ -145,7 +145,9 @@ def _make(aircraft: Aircraft, nominal: Nominal, disturbance: DisturbanceSet, set
     seen = coordinates.box(nominal.states[:-1], (1.0 + settings.measurement_error) * disturbance.half_widths)
     parts = []
     for part, (lower, upper) in zip(
-        settings.parts, control_room(aircraft, nominal, settings, coordinates, seen), strict=True
+        settings.parts,
+        control_room(aircraft, nominal, settings, coordinates, seen, np.arange(nominal.beats)),
+        strict=True,
     ):
         metric, joint = _metrics(nominal, settings, part, linear, expected, effort)
         parts.append(
@@ -161,7 +163,12 @@ def _make(aircraft: Aircraft, nominal: Nominal, disturbance: DisturbanceSet, set
 
 
 def control_room(
-    aircraft: Aircraft, nominal: Nominal, settings: SynthesisSettings, coordinates: ErrorCoordinates, seen: Array
+    aircraft: Aircraft,
+    nominal: Nominal,
+    settings: SynthesisSettings,
+    coordinates: ErrorCoordinates,
+    seen: Array,
+    beats: NDArray[np.intp],
 ) -> list[tuple[Array, Array]]:
     """How far the laws of each part may move its virtual controls, on the set on which limits hold.
 
@@ -172,22 +179,23 @@ def control_room(
     settings : SynthesisSettings
         Their parts, limits, and limits of rate.
     coordinates : ErrorCoordinates
-    seen : ndarray (T, 8)
+    seen : ndarray (b, 8)
         Half-widths of the box of errors as they are measured.
+    beats : ndarray (b,) of int
 
     Returns
     -------
-    list of (ndarray (T, m), ndarray (T, m))
+    list of (ndarray (b, m), ndarray (b, m))
         Least and largest increments.
     """
-    states, controls = nominal.states[:-1], nominal.controls
+    states, controls = nominal.states[beats], nominal.controls[beats]
     # halves of the same number of errors ask for the same
     room = {}
     for size in {len(part.errors) for part in settings.parts}:
         reach = seen * (np.sqrt(size) if settings.limits == "ellipsoid" else 1.0)
         lower, upper = available_increments(aircraft, states, controls, coordinates, reach)
         if settings.rate_limits is not None:
-            half = _share_of_rate(aircraft, nominal, np.array(settings.rate_limits))
+            half = _share_of_rate(aircraft, nominal, np.array(settings.rate_limits))[beats]
             lower, upper = np.maximum(lower, -half), np.minimum(upper, half)
         room[size] = lower, upper
     own = [(room[len(part.errors)], list(part.controls)) for part in settings.parts]
@@ -351,17 +359,10 @@ def available_increments(
     -------
     lower, upper : ndarray (b, 4)
     """
-    corners = np.array([*itertools.product((-1.0, 1.0), repeat=8), (0.0,) * 8])
-    around = _around(states, corners * reach[:, None], coordinates)
+    errors = np.concatenate([_CORNERS, np.zeros((1, 8))]) * reach[:, None]
+    around = coordinates.retract_each(states, errors)
     lower, upper = aircraft.virtual_limits(around, np.broadcast_to(controls[:, None], (*around.shape[:2], 4)))
     return lower.max(1), upper.min(1)
-
-
-def _around(states: Array, errors: Array, coordinates: ErrorCoordinates) -> Array:
-    """States (b, u, n) at errors (b, u, 8) from nominal ones (b, n)."""
-    if coordinates.kind == "relative":
-        return np.asarray(moved_each(states, errors))
-    return coordinates.retract(states[:, None], errors)
 
 
 def check_reach(
@@ -395,9 +396,8 @@ def check_reach(
         ends[:, list(part.errors)] = ellipsoid.half_widths(initial.shape, initial.rho)
     errors = np.concatenate([np.eye(8), -np.eye(8)]) * ends[:, None]
     if isinstance(disturbance, DisturbanceBox):
-        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=8)))
-        errors = np.concatenate([errors, corners * coordinates.box(states, disturbance.half_widths)[:, None]], axis=1)
-    reached = _around(np.ascontiguousarray(states), errors, coordinates)
+        errors = np.concatenate([errors, _CORNERS * coordinates.box(states, disturbance.half_widths)[:, None]], axis=1)
+    reached = coordinates.retract_each(np.ascontiguousarray(states), errors)
     outside, missing = None, np.argwhere(~aircraft.in_domain(reached))
     if len(missing):
         beat, point = missing[0]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerotube.aircraft.base import Aircraft
-from aerotube.dynamics.error_kernels import difference_each, moved_each
+from aerotube.dynamics.error_kernels import difference_each
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.dynamics.step import step, step_components
 from aerotube.numerics.taylor import Taylor, TaylorSpace
@@ -66,12 +66,8 @@ def error_map(
         return values.reshape(len(beats), *(1,) * depth, values.shape[-1])
 
     before, after, count = nominal.states[beats], nominal.states[beats + 1], len(beats)
-    relative = coordinates.kind == "relative"
-    if relative:
-        flat = np.ascontiguousarray(error).reshape(count, -1, 8)
-        start = moved_each(before, flat).reshape(*error.shape[:-1], before.shape[1])
-    else:
-        start = coordinates.retract(per_beat(before), error)
+    flat = np.ascontiguousarray(error).reshape(count, -1, 8)
+    start = coordinates.retract_each(before, flat).reshape(*error.shape[:-1], before.shape[1])
     end = step(
         aircraft,
         start,
@@ -81,7 +77,7 @@ def error_map(
         increment=increment,
     )
     flat = np.ascontiguousarray(end).reshape(count, -1, end.shape[-1])
-    return np.asarray(difference_each(flat, after, relative).reshape(*end.shape[:-1], 8))
+    return np.asarray(difference_each(flat, after, coordinates.kind == "relative").reshape(*end.shape[:-1], 8))
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from aerotube.aircraft.rigid_body import flow_angles, velocity_from_flow
 from aerotube.dynamics.components import Components, join, split
-from aerotube.dynamics.error_kernels import largest_tilts
+from aerotube.dynamics.error_kernels import largest_tilts, moved_each
 from aerotube.errors import InputError
 from aerotube.numerics import attitude
 
@@ -86,6 +86,12 @@ class ErrorCoordinates:
         ndarray (..., 13 or more)
         """
         return join(self.retract_components(split(nominal), split(error)))
+
+    def retract_each(self, nominal: Array, error: Array) -> Array:
+        """States (b, u, n) at errors (b, u, 8) from nominal ones (b, n): :meth:`retract`, compiled where it can be."""
+        if self.kind == "relative":
+            return np.asarray(moved_each(nominal, error))
+        return self.retract(nominal[:, None], error)
 
     def difference(self, state: Array, nominal: Array) -> Array:
         """Error of a state from the nominal: the inverse of :meth:`retract`.

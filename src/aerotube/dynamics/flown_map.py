@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from aerotube.aircraft.base import Aircraft
 from aerotube.dynamics.enclosure import BeatSet
-from aerotube.dynamics.error_kernels import difference_each, moved_each
+from aerotube.dynamics.error_kernels import difference_each
 from aerotube.dynamics.errors import ErrorCoordinates
 from aerotube.dynamics.step import step
 
@@ -61,26 +61,25 @@ def flown_map(
     """
     beats = np.asarray(beats)
     before, after = nominal.states[beats], nominal.states[beats + 1]
-    relative = coordinates.kind == "relative"
 
     def image(matrix: Array) -> Array:
         return np.asarray(points @ np.swapaxes(matrix, -1, -2))
 
-    def states(error: Array) -> Array:
-        return moved_each(before, error) if relative else coordinates.retract(before[:, None], error)
-
     error = image(over.error)
-    start, held = states(error), np.repeat(nominal.controls[beats][:, None], points.shape[1], axis=1)
+    start, held = (
+        coordinates.retract_each(before, error),
+        np.repeat(nominal.controls[beats][:, None], points.shape[1], axis=1),
+    )
     if law is not None:
         measured, seen = error, start
         if over.measurement is not None:
             measured = error + image(over.measurement)
-            seen = states(measured)
+            seen = coordinates.retract_each(before, measured)
         held = _realised(aircraft, seen, held, law.increments(beats, measured))
     sigma = over.parameters + image(over.parameter_reach)
     air = None if over.wind is None else image(over.wind)
     end = step(aircraft, start, held, nominal.dt, parameters=sigma, wind=air)
-    return difference_each(end, after, relative)
+    return difference_each(end, after, coordinates.kind == "relative")
 
 
 def _realised(aircraft: Aircraft, seen: Array, control: Array, increment: Array) -> Array:

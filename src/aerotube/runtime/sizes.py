@@ -71,13 +71,17 @@ def whole(task: Task, nominal: Nominal, beats: NDArray[np.intp], some: Laws | No
     if some is not None:
         out.coefficients[beats], out.reach[beats] = some.coefficients, some.reach
     if task.settings.saturation > 1.0:
-        settings = task.settings
-        widths = (1.0 + settings.measurement_error) * task.disturbance.half_widths
-        seen = task.coordinates.box(nominal.states[:-1], widths)
-        rooms = control_room(task.aircraft, nominal, settings, task.coordinates, seen)
-        for part, room in zip(settings.parts, rooms, strict=True):
+        _, rooms = _seen_and_room(task, nominal, np.arange(nominal.beats))
+        for part, room in zip(task.settings.parts, rooms, strict=True):
             out.room[:, part.controls] = np.stack(room, axis=-1)
     return out
+
+
+def _seen_and_room(task: Task, nominal: Nominal, beats: NDArray[np.intp]) -> tuple[Array, list[tuple[Array, Array]]]:
+    """Half-widths (b, 8) of the box of errors as they are measured, and each part's room for its controls."""
+    widths = (1.0 + task.settings.measurement_error) * task.disturbance.half_widths
+    seen = task.coordinates.box(nominal.states[beats], widths)
+    return seen, control_room(task.aircraft, nominal, task.settings, task.coordinates, seen, beats)
 
 
 def within_limits(task: Task, nominal: Nominal, beats: NDArray[np.intp], laws: Laws) -> NDArray[np.bool_]:
@@ -85,17 +89,16 @@ def within_limits(task: Task, nominal: Nominal, beats: NDArray[np.intp], laws: L
 
     On the disturbance box as it is measured, or the ellipsoid around it. A law that saturates always does.
     """
-    settings, coordinates = task.settings, task.coordinates
+    settings = task.settings
     if settings.saturation > 1.0:
         return np.ones((len(beats), len(settings.parts)), bool)
-    seen = coordinates.box(nominal.states[:-1], (1.0 + settings.measurement_error) * task.disturbance.half_widths)
-    rooms = control_room(task.aircraft, nominal, settings, coordinates, seen)
+    seen, rooms = _seen_and_room(task, nominal, beats)
     inside = []
     for part, (lower, upper) in zip(settings.parts, rooms, strict=True):
-        limit = np.minimum(-lower[beats], upper[beats])
+        limit = np.minimum(-lower, upper)
         own = laws.coefficients[beats][:, list(part.controls)]
         most = _most_in_ellipsoid if settings.limits == "ellipsoid" else _most_in_box
-        moved = most(task, nominal, beats, part, own, seen[beats])
+        moved = most(task, nominal, beats, part, own, seen)
         inside.append((moved <= (1.0 + 1e-6) * limit + 1e-12).all(1))
     return np.stack(inside, axis=1)
 
